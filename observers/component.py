@@ -1,0 +1,138 @@
+"""What a user gets: a hybrid system over flat vectors, everything an FMU needs and nothing about FMI.
+
+Signatures (columns of doubles; z is the whole state, u the inputs, p the parameters in the order of `parameters`):
+
+    start(p, t0) -> z        flow(z, u, p, t, h) -> z    continuous motion over h, inputs held
+                             jump(z, u, p, t) -> z       at a sample instant
+                             output(z, u, p, t) -> y     in the order of `outputs`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from observers.model import Variable
+
+
+@dataclass(frozen=True)
+class Enumeration:
+    """A named set of items; the values count from 1."""
+
+    name: str
+    items: tuple[tuple[str, str], ...]  # (item, description)
+
+
+@dataclass(frozen=True)
+class Port(Variable):
+    """A variable of a component: a Variable with the FMI attributes that depend on its use.
+
+    `kind` is "Real", "Integer" or "Enumeration" (then `enumeration` says which); all travel as doubles. `variability` is "continuous" or
+    "discrete" (inputs, outputs), "tunable" or "fixed" (parameters), "constant" (constants). `local` marks an output that is shown, not connected.
+    """
+
+    kind: str = "Real"
+    variability: str = "continuous"
+    enumeration: Enumeration | None = None
+    local: bool = False
+
+
+@dataclass(frozen=True)
+class Component:
+    """A hybrid system with named ports; see the module's docstring for the functions' signatures.
+
+    Attributes:
+        sample_time: Ts [s], or the name of the fixed parameter that holds it; 0 = no sample instants.
+        samples_inputs: the inputs are read at the sample instants, so that a step longer than Ts would lose samples.
+        breaks: fixed parameters that hold times [s] at which the right-hand side jumps: flow is cut there.
+        max_step: the longest h that `flow` is called with [s].
+        stop_time, step_size: the default experiment [s].
+        counters: outputs that count troubles; a rise is worth a warning.
+        documentation: the component's method and limits, as HTML paragraphs for the FMU's documentation page.
+
+    Raises:
+        ValueError: functions whose sizes contradict the ports, names that are not unique or unknown.
+    """
+
+    name: str
+    description: str
+    start: ca.Function
+    output: ca.Function
+    flow: ca.Function
+    jump: ca.Function | None = None
+    inputs: tuple[Port, ...] = ()
+    parameters: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    constants: tuple[Port, ...] = ()
+    sample_time: float | str = 0.0
+    samples_inputs: bool = False
+    breaks: tuple[str, ...] = ()
+    max_step: float = math.inf
+    stop_time: float = 10.0
+    step_size: float = 0.01
+    counters: tuple[str, ...] = ()
+    documentation: str = ""
+    functions: dict[str, ca.Function] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        functions = {"start": self.start, "flow": self.flow, "output": self.output}
+        if self.jump is not None:
+            functions["jump"] = self.jump
+        object.__setattr__(self, "functions", functions)
+        self._check_names()
+        self._check_sizes()
+
+    @property
+    def n_z(self) -> int:
+        """Length of the state vector z."""
+        return self.start.numel_out(0)
+
+    def _check_names(self) -> None:
+        seen: set[str] = set()
+        for port in (*self.inputs, *self.parameters, *self.outputs, *self.constants):
+            if port.name in seen:
+                raise ValueError(f"component '{self.name}': two ports are called '{port.name}'")
+            seen.add(port.name)
+        fixed = {p.name for p in self.parameters if p.variability == "fixed"}
+        wanted = [*self.breaks, *([self.sample_time] if isinstance(self.sample_time, str) else [])]
+        for name in wanted:
+            if name not in fixed:
+                raise ValueError(f"component '{self.name}': '{name}' is no fixed parameter")
+        for name in self.counters:
+            if name not in {p.name for p in self.outputs}:
+                raise ValueError(f"component '{self.name}': the counter '{name}' is no output")
+
+    def _check_sizes(self) -> None:
+        z, u, p, y = self.n_z, len(self.inputs), len(self.parameters), len(self.outputs)
+        wanted = {
+            "start": ([p, 1], z),
+            "flow": ([z, u, p, 1, 1], z),
+            "jump": ([z, u, p, 1], z),
+            "output": ([z, u, p, 1], y),
+        }
+        for name, function in self.functions.items():
+            arguments, result = wanted[name]
+            if function.name() != name:
+                raise ValueError(f"component '{self.name}': the function {function.name()!r} must be called '{name}'")
+            found = [function.numel_in(i) for i in range(function.n_in())]
+            if found != arguments or function.numel_out(0) != result:
+                raise ValueError(
+                    f"component '{self.name}': {name} maps sizes {found} to {function.numel_out(0)}, the ports ask for {arguments} to {result}"
+                )
+
+    def __str__(self) -> str:
+        def row(label: str, ports: Sequence[Port]) -> str:
+            return f"  {len(ports):3d} {label:<11} " + ", ".join(p.name for p in ports)
+
+        sampled = f", sample time {self.sample_time}" if self.sample_time else ""
+        return "\n".join(
+            [
+                f"Component {self.name}: {self.description} ({self.n_z} states{sampled})",
+                row("inputs", self.inputs),
+                row("parameters", self.parameters),
+                row("outputs", self.outputs),
+            ]
+        )

@@ -1,0 +1,227 @@
+"""What a user gives: the equations of a system, written with names.
+
+    duffing = Model(
+        name="duffing",
+        states=[Variable("x1", start=2.0), Variable("x2", start=1.0)],
+        unknown_parameters=[Variable("theta", start=0.4)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [x.x2, x.x1 - x.x1**3 + p.theta * ca.cos(t)],
+        output=lambda x, u, p, t: [x.x1 + 0.5 * x.x2],
+    )
+"""
+
+from __future__ import annotations
+
+import keyword
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+
+
+class ModelError(ValueError):
+    """The equations or the names of a model contradict each other; the message names what and where."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One named scalar: what it is, in which unit, where it starts and what it may be.
+
+    `unit` is an FMI unit expression ("m/s", "rad/s", "1"); `start` is the value before anything is known, `nominal` its
+    typical magnitude (> 0), `min` and `max` its bounds, all in `unit`.
+    """
+
+    name: str
+    description: str = ""
+    unit: str = "1"
+    start: float = 0.0
+    nominal: float = 1.0
+    min: float = -math.inf
+    max: float = math.inf
+
+    def __post_init__(self) -> None:
+        for what in ("start", "nominal"):
+            if not math.isfinite(getattr(self, what)):
+                raise ModelError(f"variable '{self.name}': {what} = {getattr(self, what)} is not finite")
+        if not self.nominal > 0:
+            raise ModelError(f"variable '{self.name}': nominal = {self.nominal:g} must be greater than 0")
+        if not self.min <= self.start <= self.max:
+            raise ModelError(f"variable '{self.name}': start = {self.start:g} lies outside [{self.min:g}, {self.max:g}]")
+
+
+class Names:
+    """The symbols of one group, by attribute (`x.x1`); an unknown name is a ModelError that lists the known ones."""
+
+    def __init__(self, group: str, symbols: dict[str, ca.SX]):
+        self._group = group
+        self._symbols = symbols
+
+    def __getattr__(self, name: str) -> ca.SX:
+        try:
+            return self._symbols[name]
+        except KeyError:
+            known = ", ".join(self._symbols) or "none"
+            raise ModelError(f"there is no {self._group} '{name}'; known: {known}") from None
+
+
+@dataclass(frozen=True)
+class Equations:
+    """A model's equations as CasADi SX columns.
+
+    Symbols `x` (nx), `z` (nz), `u` (nu), `w` (nw), `p` (np), `theta` (nt), `t`; expressions `ode` (nx), `algebraic` (nz), `output` (ny).
+    """
+
+    x: ca.SX
+    z: ca.SX
+    u: ca.SX
+    w: ca.SX
+    p: ca.SX
+    theta: ca.SX
+    t: ca.SX
+    ode: ca.SX
+    algebraic: ca.SX
+    output: ca.SX
+
+
+@dataclass(frozen=True)
+class Model:
+    """A nonlinear system x' = f(x, u, p, t), 0 = g, y = h(x, u, p, t), with named, typed, documented variables.
+
+    Attributes:
+        name: an identifier; it names the FMU files made of the model.
+        states: the differential variables x.
+        outputs: what a sensor measures, y.
+        ode: `(x, u, p, t) -> [x'_1, ...]`, one entry for each state. With algebraic variables the signature of all
+            three callables is `(x, z, u, p, t)`.
+        output: the same signature, `-> [y_1, ...]`, one entry for each output.
+        inputs: known inputs u.
+        parameters: known parameters, settable in the FMU; `p.<name>`.
+        unknown_parameters: constants that an observer estimates; `p.<name>` too.
+        algebraic: algebraic variables z, determined by `algebraic_equations`, as many as those.
+        algebraic_equations: `(x, z, u, p, t) -> [g_1, ...]`, each zero.
+        unknown_disturbances: time-varying inputs that nobody measures; `u.<name>`.
+        input_between_samples: what a known input does between two samples, "held" or "linear".
+
+    Raises:
+        ModelError: names that are no identifiers or not unique, unknown names in an equation, an equation count that
+            does not match, an equation that is not finite at the start values, an output that depends on nothing.
+    """
+
+    name: str
+    states: Sequence[Variable]
+    outputs: Sequence[Variable]
+    ode: Callable[..., Iterable[Any]]
+    output: Callable[..., Iterable[Any]]
+    inputs: Sequence[Variable] = ()
+    parameters: Sequence[Variable] = ()
+    unknown_parameters: Sequence[Variable] = ()
+    algebraic: Sequence[Variable] = ()
+    algebraic_equations: Callable[..., Iterable[Any]] | None = None
+    unknown_disturbances: Sequence[Variable] = ()
+    input_between_samples: str = "held"
+    description: str = ""
+    equations: Equations = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self._check_names()
+        if self.input_between_samples not in ("held", "linear"):
+            raise ModelError(
+                f"model '{self.name}': input_between_samples = {self.input_between_samples!r} must be 'held' or 'linear'"
+            )
+        if bool(self.algebraic) != (self.algebraic_equations is not None):
+            raise ModelError(f"model '{self.name}': algebraic variables and algebraic_equations go together")
+        object.__setattr__(self, "equations", self._build())
+
+    def _groups(self) -> dict[str, Sequence[Variable]]:
+        return {
+            "state": self.states,
+            "algebraic variable": self.algebraic,
+            "input": self.inputs,
+            "output": self.outputs,
+            "parameter": self.parameters,
+            "unknown parameter": self.unknown_parameters,
+            "unknown disturbance": self.unknown_disturbances,
+        }
+
+    def _check_names(self) -> None:
+        if not _NAME.match(self.name) or keyword.iskeyword(self.name):
+            raise ModelError(f"model name {self.name!r} is not an identifier")
+        seen: dict[str, str] = {}
+        for group, variables in self._groups().items():
+            for variable in variables:
+                if not _NAME.match(variable.name) or keyword.iskeyword(variable.name):
+                    raise ModelError(f"model '{self.name}': {group} name {variable.name!r} is not an identifier")
+                if variable.name in seen:
+                    raise ModelError(
+                        f"model '{self.name}': the name '{variable.name}' stands for a {seen[variable.name]} and a {group}"
+                    )
+                seen[variable.name] = group
+        if not self.states:
+            raise ModelError(f"model '{self.name}' has no states")
+        if not self.outputs:
+            raise ModelError(f"model '{self.name}' has no outputs")
+
+    def _build(self) -> Equations:
+        def symbols(variables: Sequence[Variable]) -> dict[str, ca.SX]:
+            return {v.name: ca.SX.sym(v.name) for v in variables}
+
+        x, z, u, w = map(symbols, (self.states, self.algebraic, self.inputs, self.unknown_disturbances))
+        p, theta = map(symbols, (self.parameters, self.unknown_parameters))
+        t = ca.SX.sym("t")
+        arguments: list[Any] = [Names("state", x)]
+        if self.algebraic:
+            arguments.append(Names("algebraic variable", z))
+        arguments += [Names("input", u | w), Names("parameter", p | theta), t]
+
+        def evaluate(what: str, equations: Callable[..., Iterable[Any]], variables: Sequence[Variable]) -> ca.SX:
+            try:
+                values = list(equations(*arguments))
+            except ModelError as error:
+                raise ModelError(f"model '{self.name}', {what}: {error}") from None
+            if len(values) != len(variables):
+                names = ", ".join(v.name for v in variables)
+                raise ModelError(f"model '{self.name}', {what}: {len(values)} expressions for {len(variables)} variables ({names})")
+            for variable, value in zip(variables, values, strict=True):
+                if ca.SX(value).shape != (1, 1):
+                    raise ModelError(f"model '{self.name}', {what}: the expression for '{variable.name}' is not a scalar")
+            return ca.vertcat(*[ca.SX(v) for v in values]) if values else ca.SX(0, 1)
+
+        def column(group: dict[str, ca.SX]) -> ca.SX:
+            return ca.vertcat(*group.values()) if group else ca.SX(0, 1)
+
+        made = Equations(
+            *map(column, (x, z, u, w, p, theta)),
+            t=t,
+            ode=evaluate("ode", self.ode, self.states),
+            algebraic=evaluate("algebraic_equations", self.algebraic_equations, self.algebraic)
+            if self.algebraic_equations
+            else ca.SX(0, 1),
+            output=evaluate("output", self.output, self.outputs),
+        )
+        for variable, expression in zip(self.outputs, ca.vertsplit(made.output), strict=True):
+            if not ca.depends_on(expression, ca.vertcat(made.x, made.z)):
+                raise ModelError(f"model '{self.name}': output '{variable.name}' depends on no state")
+        return made
+
+    def __str__(self) -> str:
+        lines = [f"Model {self.name}" + (f": {self.description}" if self.description else "")]
+        for group, variables in self._groups().items():
+            if variables:
+                named = ", ".join(v.name + (f" [{v.unit}]" if v.unit != "1" else "") for v in variables)
+                label = f"{group}s:" if len(variables) > 1 else f"{group}:"
+                lines.append(f"  {len(variables)} {label:<22} {named}")
+        return "\n".join(lines)
+
+
+def refuse(model: Model, method: str, *features: str) -> None:
+    """Raise a ModelError that names the first of `features` (Model attributes) which the model has and `method` cannot treat."""
+    for feature in features:
+        variables = getattr(model, feature)
+        if variables:
+            names = ", ".join(v.name for v in variables)
+            raise ModelError(f"{method}: model '{model.name}' has {feature.replace('_', ' ')} ({names}), which this method does not treat")

@@ -1,0 +1,121 @@
+"""A model becomes a plant: flow and output, jumps of its unknown parameters, sensor noise made inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from observers.component import Component, Port
+from observers.model import Model, Variable, refuse
+from observers.numerics import noise
+from observers.numerics.runge_kutta import runge_kutta
+
+NEVER = 1e30  # a jump time beyond any run
+
+
+def plant(
+    model: Model, *, jumps: Mapping[str, int] | None = None, max_step: float = 0.05, stop_time: float = 50.0, step_size: float = 0.1
+) -> Component:
+    """The component that behaves as `model` does.
+
+    States are outputs `x.<state>`, unknown parameters outputs `x.<name>` too (their true value now). Parameters: `start.<state>`,
+    `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
+    `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform), `sensor.noise_std`
+    (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
+
+    Args:
+        jumps: how many jumps of which unknown parameters.
+        max_step: the longest step of the eighth-order Runge-Kutta method [s].
+        stop_time, step_size: the default experiment [s].
+
+    Raises:
+        ModelError: algebraic variables or unknown disturbances; a jump of a parameter that is not unknown.
+    """
+    refuse(model, "plant", "algebraic", "unknown_disturbances")
+    jumps = dict(jumps or {})
+    for name in jumps:
+        if name not in {v.name for v in model.unknown_parameters}:
+            raise ValueError(f"plant '{model.name}': jumps of '{name}', which is no unknown parameter")
+
+    starts = [_port(f"start.{v.name}", v, "fixed", f"start value of the {v.description or v.name}") for v in model.states]
+    constants = [_port(f"model.{v.name}", v, "tunable") for v in model.parameters]
+    unknowns = [_port(f"model.{v.name}", v, "tunable") for v in model.unknown_parameters]
+    jump_ports: list[Port] = []
+    for v in model.unknown_parameters:
+        for i in range(1, jumps.get(v.name, 0) + 1):
+            jump_ports.append(
+                Port(f"model.{v.name}_jump_time[{i}]", f"time of jump {i} of {v.name}", "s", NEVER, min=0.0, variability="fixed")
+            )
+            jump_ports.append(_port(f"model.{v.name}_jump_value[{i}]", v, "tunable", f"{v.description or v.name} after jump {i}"))
+    unit = model.outputs[0].unit
+    sensor = [
+        Port("sensor.noise_bound", "half-width of the uniform measurement noise", unit, min=0.0, variability="tunable"),
+        Port("sensor.noise_std", "standard deviation of the Gaussian measurement noise", unit, min=0.0, variability="tunable"),
+        Port("sensor.seed", "seed of the noise", min=0, max=noise.LARGEST_SEED, kind="Integer", variability="fixed"),
+        Port("sensor.sample_time", "sample time of the noise; 0: clean measurement", "s", min=0.0, variability="fixed"),
+    ]
+    parameters = (*starts, *constants, *unknowns, *jump_ports, *sensor)
+
+    p = {port.name: ca.SX.sym(port.name) for port in parameters}
+    p_all = ca.vertcat(*p.values())
+    nx, ny = len(model.states), len(model.outputs)
+    x, u, t, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(model.inputs)), ca.SX.sym("t"), ca.SX.sym("h")
+    z = ca.vertcat(x, ca.SX.sym("v", ny), ca.SX.sym("s", 2))
+    v, stream = z[nx : nx + ny], z[nx + ny :]
+    eq = model.equations
+    known = ca.vertcat(*[p[f"model.{q.name}"] for q in model.parameters])
+    rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
+    measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.output])
+
+    def unknown(time: ca.SX) -> ca.SX:
+        """The unknown parameters at `time`: piecewise constant, the new value for time > jump time."""
+        values = []
+        for q in model.unknown_parameters:
+            value = p[f"model.{q.name}"]
+            for i in range(1, jumps.get(q.name, 0) + 1):
+                value = ca.if_else(time > p[f"model.{q.name}_jump_time[{i}]"], p[f"model.{q.name}_jump_value[{i}]"], value)
+            values.append(value)
+        return ca.vertcat(*values)
+
+    def drawn(state: ca.SX) -> tuple[ca.SX, ca.SX]:
+        sampled = p["sensor.sample_time"] > 0
+        return noise.draw(state, ny, sampled * p["sensor.noise_bound"], sampled * p["sensor.noise_std"])
+
+    first_stream, first_noise = drawn(noise.start(p["sensor.seed"]))
+    next_stream, next_noise = drawn(stream)
+    theta = unknown(t + h / 2)  # constant over the substep, which the shell cuts at the jumps
+    moved = runge_kutta(lambda state, time: rhs(state, u, known, theta, time), x, t, h)
+    x_start = ca.vertcat(*[p[port.name] for port in starts])
+    outputs = [
+        *[_port(w.name, w, "continuous") for w in model.outputs],
+        *[_port(f"x.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.states],
+        *[_port(f"x.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.unknown_parameters],
+    ]
+    return Component(
+        name=model.name,
+        description=model.description or f"plant {model.name}",
+        start=ca.Function("start", [p_all, t], [ca.vertcat(x_start, first_noise, first_stream)]),
+        flow=ca.Function("flow", [z, u, p_all, t, h], [ca.vertcat(moved, v, stream)]),
+        jump=ca.Function("jump", [z, u, p_all, t], [ca.vertcat(x, next_noise, next_stream)]),
+        output=ca.Function("output", [z, u, p_all, t], [ca.vertcat(measure(x, u, known, unknown(t), t) + v, x, unknown(t))]),
+        inputs=tuple(_port(w.name, w, "continuous") for w in model.inputs),
+        parameters=parameters,
+        outputs=tuple(outputs),
+        sample_time="sensor.sample_time",
+        breaks=tuple(port.name for port in jump_ports if port.name.split("[")[0].endswith("_jump_time")),
+        max_step=max_step,
+        stop_time=stop_time,
+        step_size=step_size,
+        documentation=(
+            f"<p>The model {model.name} as a plant, integrated with Dormand and Prince's eighth-order method in steps of at most {max_step:g} s. "
+            "Measurement noise is made inside the plant by a Lehmer generator that gives the same sequence in every tool: y at the k-th sample "
+            "instant carries the k-th draw.</p>"
+        ),
+    )
+
+
+def _port(name: str, like: Variable, variability: str, description: str = "") -> Port:
+    """A port called `name` with the unit, start, nominal and bounds of `like`."""
+    bounds = {} if variability == "continuous" else {"min": like.min, "max": like.max}
+    return Port(name, description or like.description, like.unit, like.start, like.nominal, **bounds, variability=variability)
