@@ -1,0 +1,26 @@
+"""What can be wrong with a system or with what is asked of it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class SystemFileError(ValueError):
+    """A system, its .ssp file or one of its FMUs is not what it should be; the message names which and why."""
+
+
+class ExperimentError(ValueError):
+    """What was asked of a system is impossible: an unknown variable, a value of the wrong kind, a step that does not fit."""
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """The end of an error message about the unknown `name`: the names near it, or else all that are known."""
+    known = list(known)
+    near = (
+        difflib.get_close_matches(name, known, n=4, cutoff=0.5) or [k for k in known if name.lower() in k.lower()][:4]
+    )
+    if near:
+        return "did you mean " + " or ".join(f"'{n}'" for n in near) + "?"
+    shown = ", ".join(known[:12]) + (f", and {len(known) - 12} more" if len(known) > 12 else "")
+    return f"known: {shown or 'none'}"

@@ -1,0 +1,83 @@
+/* The values that follow from others: the start state from the parameters, the outputs from the state. */
+#include <math.h>
+#include <string.h>
+
+#include "instance.h"
+
+/* Everything as it is right after fmi2Instantiate. */
+void set_defaults(Instance *self)
+{
+    size_t n = component.n_inputs + component.n_parameters + component.n_outputs + component.n_constants;
+    for (size_t i = 0; i < n; i++)
+        self->values[i] = component.variables[i].start;
+    memset(&self->run, 0, sizeof self->run);
+    self->run.lifecycle = INSTANTIATED;
+    memset(self->du, 0, component.n_inputs * sizeof *self->du);
+    memset(self->z, 0, component.n_states * sizeof *self->z);
+    memset(self->breaks, 0, component.n_breaks * sizeof *self->breaks);
+    memset(self->counts, 0, component.n_counters * sizeof *self->counts);
+    self->stale_start = self->stale_outputs = true;
+}
+
+bool all_finite(const double *values, size_t n)
+{
+    int bad = 0;
+    for (size_t i = 0; i < n; i++)
+        bad |= !isfinite(values[i]);
+    return !bad;
+}
+
+/* The clock and z = start(p, t0), unless they already follow from the parameters. False, with z as it was and a message, where start fails. */
+bool refresh_start(Instance *self)
+{
+    Run *run = &self->run;
+    if (!self->stale_start)
+        return true;
+    self->arg[0] = self->p;
+    self->arg[1] = &run->t0;
+    self->res[0] = self->scratch[0];
+    if (component.start(self->arg, self->res, self->iw, self->w, 0) != 0 || !all_finite(self->scratch[0], component.n_states)) {
+        report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g.", component.name, run->t0);
+        return false;
+    }
+    double *z = self->z;
+    self->z = self->scratch[0];
+    self->scratch[0] = z;
+    run->time = run->t0;
+    run->ticks = 0;
+    run->sample_time = component.sample_time_parameter >= 0 ? self->p[component.sample_time_parameter] : component.sample_time;
+    run->tolerance = fmax(SNAP * run->sample_time, 1 / NANOSECONDS);
+    for (size_t i = 0; i < component.n_breaks; i++) { /* insertion sort: a handful of times, once */
+        double instant = self->p[component.breaks[i]];
+        size_t k = i;
+        for (; k > 0 && self->breaks[k - 1] > instant; k--)
+            self->breaks[k] = self->breaks[k - 1];
+        self->breaks[k] = instant;
+    }
+    self->stale_start = false;
+    self->stale_outputs = true;
+    return true;
+}
+
+/* y = output(z, u, p, time). False, with a message, where it cannot be evaluated. */
+bool evaluate_outputs(Instance *self, const double *z, double time)
+{
+    self->arg[0] = z;
+    self->arg[1] = self->u;
+    self->arg[2] = self->p;
+    self->arg[3] = &time;
+    self->res[0] = self->y;
+    self->stale_outputs = true; /* y is half written until it is not */
+    if (component.output(self->arg, self->res, self->iw, self->w, 0) != 0) {
+        report(self, fmi2Error, LOG_ERROR, "%s: the outputs could not be evaluated at t = %.15g.", component.name, time);
+        return false;
+    }
+    self->stale_outputs = false;
+    return true;
+}
+
+/* The outputs at the current time, unless they are up to date. */
+bool refresh_outputs(Instance *self)
+{
+    return refresh_start(self) && (!self->stale_outputs || evaluate_outputs(self, self->z, self->run.time));
+}

@@ -1,0 +1,69 @@
+/* One instance of the FMU: everything it owns, and what the shell's files offer each other.
+
+   After a call that returns fmi2Error the instance is where it was before the call: the standard would let it enter a state "error" that
+   only fmi2Reset leaves, but here nothing has changed, so the importer may correct the call and go on. */
+#ifndef INSTANCE_H
+#define INSTANCE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "component.h"
+#include "fmi2Functions.h"
+
+#define NANOSECONDS 1e9 /* times are counted in these */
+#define SNAP 1e-6       /* of a sample time: times closer than this to a sample instant are that instant */
+
+typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEP_COMPLETE = 4, TERMINATED = 8 } Lifecycle;
+#define ANY_STATE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE | TERMINATED)
+
+typedef enum { LOG_ERROR = 1, LOG_WARNING = 2, LOG_DISCARD = 4, LOG_EVENTS = 8 } Category;
+#define LOG_ALL (LOG_ERROR | LOG_WARNING | LOG_DISCARD | LOG_EVENTS)
+
+/* Where the run is. Eight bytes each, so that a serialised state has no padding. */
+typedef struct {
+    int64_t lifecycle;
+    int64_t is_set_up;         /* fmi2SetupExperiment was called */
+    int64_t stop_time_defined;
+    int64_t ticks;             /* sample instants so far: the next is t0 + ticks * sample_time */
+    int64_t extrapolates;      /* input derivatives are set for the next step */
+    double t0, stop_time, time;
+    double sample_time, tolerance;
+} Run;
+
+typedef struct {
+    fmi2CallbackFunctions callbacks;
+    char *name;
+    unsigned log_categories;
+    Run run;
+    bool stale_start;    /* z does not yet follow from the parameters (before and in initialization mode) */
+    bool stale_outputs;  /* y does not yet follow from z, u, p and time */
+    double *values;      /* by value reference: u, p, y, constants */
+    double *u, *p, *y;   /* in `values` */
+    double *du;          /* input derivatives */
+    double *u_now;       /* inputs extrapolated to a time within the step */
+    double *z;           /* the state at run.time */
+    double *scratch[2];  /* doStep works here and swaps at its end */
+    double *breaks;      /* ascending */
+    double *counts;      /* counters after the last step */
+    const double **arg;
+    double **res;
+    double *w;
+    int *iw;
+} Instance;
+
+/* logging.c */
+#if defined __GNUC__
+__attribute__((format(printf, 4, 5)))
+#endif
+void report(Instance *self, fmi2Status status, Category category, const char *format, ...);
+bool allowed(Instance *self, const char *function, unsigned lifecycles);
+
+/* evaluate.c */
+void set_defaults(Instance *self);
+bool refresh_start(Instance *self);
+bool evaluate_outputs(Instance *self, const double *z, double time);
+bool refresh_outputs(Instance *self);
+bool all_finite(const double *values, size_t n);
+
+#endif

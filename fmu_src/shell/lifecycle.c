@@ -1,0 +1,182 @@
+/* From fmi2Instantiate to fmi2FreeInstance. All memory of an instance is one block, taken here through the importer's callbacks. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "instance.h"
+
+const char *fmi2GetTypesPlatform(void)
+{
+    return fmi2TypesPlatform;
+}
+
+const char *fmi2GetVersion(void)
+{
+    return fmi2Version;
+}
+
+/* Carve `bytes` out of the block at `*next`; with a null block only count. Everything is aligned for doubles and pointers. */
+static void *carve(char *block, size_t *used, size_t bytes)
+{
+    void *here = block ? block + *used : NULL;
+    *used += (bytes + 15) / 16 * 16;
+    return here;
+}
+
+/* Lay the instance out in `block`, or with a null pointer say how many bytes it needs. */
+static size_t lay_out(char *block, Instance *self, size_t name_bytes)
+{
+    size_t used = 0;
+    const Component *k = &component;
+    size_t n_values = k->n_inputs + k->n_parameters + k->n_outputs + k->n_constants;
+    carve(block, &used, sizeof *self);
+    self->name = carve(block, &used, name_bytes);
+    self->values = carve(block, &used, n_values * sizeof(double));
+    self->du = carve(block, &used, k->n_inputs * sizeof(double));
+    self->u_now = carve(block, &used, k->n_inputs * sizeof(double));
+    self->z = carve(block, &used, k->n_states * sizeof(double));
+    self->scratch[0] = carve(block, &used, k->n_states * sizeof(double));
+    self->scratch[1] = carve(block, &used, k->n_states * sizeof(double));
+    self->breaks = carve(block, &used, k->n_breaks * sizeof(double));
+    self->counts = carve(block, &used, k->n_counters * sizeof(double));
+    self->arg = carve(block, &used, k->sz_arg * sizeof(double *));
+    self->res = carve(block, &used, k->sz_res * sizeof(double *));
+    self->w = carve(block, &used, k->sz_w * sizeof(double));
+    self->iw = carve(block, &used, k->sz_iw * sizeof(int));
+    return used;
+}
+
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID, fmi2String fmuResourceLocation,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
+{
+    (void)fmuResourceLocation;
+    (void)visible;
+    if (!functions)
+        return NULL; /* and nobody to tell */
+    /* A stand-in that can report: what goes wrong here is logged whether logging is on or not, nobody gets an instance to turn it on. */
+    Instance draft;
+    memset(&draft, 0, sizeof draft);
+    draft.callbacks = *functions;
+    draft.log_categories = LOG_ALL;
+    draft.name = (char *)(uintptr_t)(instanceName ? instanceName : component.name); /* only read */
+    if (!instanceName || !*instanceName) {
+        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: the instance name is missing.");
+        return NULL;
+    }
+    if (fmuType != fmi2CoSimulation) {
+        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: fmuType = %d, but this is a co-simulation FMU (%d).", (int)fmuType,
+               (int)fmi2CoSimulation);
+        return NULL;
+    }
+    if (!fmuGUID || strcmp(fmuGUID, component.guid) != 0) {
+        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: the GUID is %s, but this binary belongs to %s.",
+               fmuGUID ? fmuGUID : "(null)", component.guid);
+        return NULL;
+    }
+    /* Importers without a memory manager of their own hand in two null pointers: then the C library's. */
+    if (!functions->allocateMemory && !functions->freeMemory) {
+        draft.callbacks.allocateMemory = calloc;
+        draft.callbacks.freeMemory = free;
+    } else if (!functions->allocateMemory || !functions->freeMemory) {
+        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: of allocateMemory and freeMemory one is a null pointer.");
+        return NULL;
+    }
+    size_t name_bytes = strlen(instanceName) + 1;
+    Instance layout = draft;
+    size_t bytes = lay_out(NULL, &layout, name_bytes);
+    char *block = draft.callbacks.allocateMemory(1, bytes);
+    if (!block) {
+        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: allocateMemory refused %lu bytes.", (unsigned long)bytes);
+        return NULL;
+    }
+    memset(block, 0, bytes);
+    Instance *self = (Instance *)(void *)block;
+    *self = draft;
+    lay_out(block, self, name_bytes);
+    memcpy(self->name, instanceName, name_bytes);
+    self->u = self->values;
+    self->p = self->u + component.n_inputs;
+    self->y = self->p + component.n_parameters;
+    self->log_categories = loggingOn ? LOG_ALL : 0;
+    set_defaults(self);
+    return self;
+}
+
+void fmi2FreeInstance(fmi2Component c)
+{
+    Instance *self = c;
+    if (self)
+        self->callbacks.freeMemory(self);
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
+                               fmi2Boolean stopTimeDefined, fmi2Real stopTime)
+{
+    Instance *self = c;
+    (void)toleranceDefined; /* the accuracy is fixed by the component's max_step, no step is controlled by an error estimate */
+    (void)tolerance;
+    if (!allowed(self, "fmi2SetupExperiment", INSTANTIATED))
+        return fmi2Error;
+    if (!isfinite(startTime)) {
+        report(self, fmi2Error, LOG_ERROR, "fmi2SetupExperiment: the start time %g is not finite.", startTime);
+        return fmi2Error;
+    }
+    if (stopTimeDefined && !(stopTime >= startTime)) {
+        report(self, fmi2Error, LOG_ERROR, "fmi2SetupExperiment: the stop time %.15g lies before the start time %.15g.", stopTime, startTime);
+        return fmi2Error;
+    }
+    self->run.t0 = self->run.time = startTime;
+    self->run.stop_time_defined = stopTimeDefined != fmi2False;
+    self->run.stop_time = stopTimeDefined ? stopTime : 0;
+    self->run.is_set_up = 1;
+    self->stale_start = self->stale_outputs = true;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+{
+    Instance *self = c;
+    if (!allowed(self, "fmi2EnterInitializationMode", INSTANTIATED))
+        return fmi2Error;
+    if (!self->run.is_set_up) {
+        report(self, fmi2Error, LOG_ERROR, "fmi2EnterInitializationMode: fmi2SetupExperiment must be called before.");
+        return fmi2Error;
+    }
+    self->run.lifecycle = INITIALIZATION;
+    return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c)
+{
+    Instance *self = c;
+    if (!allowed(self, "fmi2ExitInitializationMode", INITIALIZATION))
+        return fmi2Error;
+    /* Counters start from what they are now, so that only a rise is worth a warning. */
+    if (component.n_counters > 0 ? !refresh_outputs(self) : !refresh_start(self))
+        return fmi2Error;
+    for (size_t i = 0; i < component.n_counters; i++)
+        self->counts[i] = self->y[component.counters[i]];
+    self->run.lifecycle = STEP_COMPLETE;
+    report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name, self->run.t0, self->run.sample_time);
+    return fmi2OK;
+}
+
+fmi2Status fmi2Terminate(fmi2Component c)
+{
+    Instance *self = c;
+    if (!allowed(self, "fmi2Terminate", STEP_COMPLETE))
+        return fmi2Error;
+    self->run.lifecycle = TERMINATED;
+    report(self, fmi2OK, LOG_EVENTS, "%s: terminated at t = %.15g.", component.name, self->run.time);
+    return fmi2OK;
+}
+
+fmi2Status fmi2Reset(fmi2Component c)
+{
+    Instance *self = c;
+    if (!allowed(self, "fmi2Reset", ANY_STATE))
+        return fmi2Error;
+    set_defaults(self);
+    report(self, fmi2OK, LOG_EVENTS, "%s: reset.", component.name);
+    return fmi2OK;
+}

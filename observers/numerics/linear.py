@@ -1,0 +1,84 @@
+"""Dense linear algebra unrolled into scalar CasADi expressions (SX), for small systems inside generated C.
+
+Own code, not a library's: CasADi's solvers either do not generate C, or generate a sparse QR that costs ten times as much here.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+
+def lu_factor(A: ca.SX) -> ca.SX:
+    """L and U of A (n x n) = L U without pivoting, in one matrix (L's unit diagonal implied).
+
+    Without pivoting: for the caller to check the result. The collocation matrix I - blk(phi_x) Psi stays near the identity for a sensible
+    window (growth at most 340 in cold starts), and a breakdown shows as a non-finite step.
+    """
+    A = ca.densify(ca.SX(A))
+    n = A.shape[0]
+    a = [[A[i, j] for j in range(n)] for i in range(n)]
+    for k in range(n):
+        for i in range(k + 1, n):
+            a[i][k] = a[i][k] / a[k][k]
+            for j in range(k + 1, n):
+                a[i][j] = a[i][j] - a[i][k] * a[k][j]
+    return ca.vertcat(*[ca.horzcat(*row) for row in a])
+
+
+def forward(LU: ca.SX, b: ca.SX) -> ca.SX:
+    """L^-1 b with the unit lower triangle of `LU`; b (n x m)."""
+    n = LU.shape[0]
+    rows = [b[i, :] for i in range(n)]
+    for i in range(n):
+        for k in range(i):
+            rows[i] = rows[i] - LU[i, k] * rows[k]
+    return ca.vertcat(*rows)
+
+
+def backward(LU: ca.SX, b: ca.SX) -> ca.SX:
+    """U^-1 b with the upper triangle of `LU`; b (n x m)."""
+    n = LU.shape[0]
+    rows = [b[i, :] for i in range(n)]
+    for i in reversed(range(n)):
+        for k in range(i + 1, n):
+            rows[i] = rows[i] - LU[i, k] * rows[k]
+        rows[i] = rows[i] / LU[i, i]
+    return ca.vertcat(*rows)
+
+
+def right_solve(LU: ca.SX, b: ca.SX) -> ca.SX:
+    """b U^-1 with the upper triangle of `LU`; b (m x n)."""
+    n = LU.shape[0]
+    columns = [b[:, j] for j in range(n)]
+    for j in range(n):
+        for k in range(j):
+            columns[j] = columns[j] - columns[k] * LU[k, j]
+        columns[j] = columns[j] / LU[j, j]
+    return ca.horzcat(*columns)
+
+
+def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(H^-1 b, pivots) of a symmetric positive definite H (n x n) by L D L'; b (n x 1). The pivots (n x 1) tell how near H is to singular."""
+    H = ca.densify(ca.SX(H))
+    n = H.shape[0]
+    L = [[ca.SX(0)] * n for _ in range(n)]
+    d: list[ca.SX] = []
+    for j in range(n):
+        pivot = H[j, j]
+        for k in range(j):
+            pivot = pivot - L[j][k] ** 2 * d[k]
+        d.append(pivot)
+        for i in range(j + 1, n):
+            entry = H[i, j]
+            for k in range(j):
+                entry = entry - L[i][k] * L[j][k] * d[k]
+            L[i][j] = entry / pivot
+    x = [b[i] for i in range(n)]
+    for i in range(n):
+        for k in range(i):
+            x[i] = x[i] - L[i][k] * x[k]
+    x = [x[i] / d[i] for i in range(n)]
+    for i in reversed(range(n)):
+        for k in range(i + 1, n):
+            x[i] = x[i] - L[k][i] * x[k]
+    return ca.vertcat(*x), ca.vertcat(*d)

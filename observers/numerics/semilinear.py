@@ -1,0 +1,72 @@
+"""Splits a right-hand side into a constant linear part and the rest: f = A x + B u + E phi(x_Q, ...).
+
+What enters linearly with constant coefficients can be solved once and for all when the observer is built; only phi is left for the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Split:
+    """f = A x + B u + E phi, with `rows` the rows of f that phi fills (E = identity[:, rows]) and `states` the entries of x that it depends on.
+
+    A (n x nx), B (n x nu) numeric; phi (nv x 1) a CasADi expression in x[states], u and the remaining symbols of f.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    E: np.ndarray
+    phi: ca.SX
+    rows: list[int]
+    states: list[int]
+    inputs: list[int]
+
+
+def split(f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
+    """Split `f` (n x 1) by its Jacobian: entries that hold no symbol go to A and B, everything else to phi.
+
+    Where df_i/dx_j is constant, f_i is x_j's term plus something without x_j (its other derivatives cannot depend on x_j
+    either), so phi_i is f_i with x_j = 0: exact, and without cancellation.
+    """
+    A, B = _constant_entries(f, x), _constant_entries(f, u)
+    rest = []
+    for i, expression in enumerate(ca.vertsplit(f)):
+        for symbols, constant in ((x, A), (u, B)):
+            gone = [int(j) for j in np.flatnonzero(constant[i])]
+            if gone:
+                expression = ca.substitute(expression, symbols[gone], ca.DM.zeros(len(gone)))
+        rest.append(ca.simplify(expression))
+    rows = [i for i, expression in enumerate(rest) if not (expression.is_constant() and expression.is_zero())]
+    phi = ca.vertcat(*[rest[i] for i in rows]) if rows else ca.SX(0, 1)
+    return Split(A, B, np.eye(len(rest))[:, rows], phi, rows, _used(phi, x), _used(phi, u))
+
+
+def unreachable(f: ca.SX, h: ca.SX, symbols: ca.SX, x: ca.SX) -> list[int]:
+    """Indices of `symbols` (states, or states and parameters, states first) that no output sees, not even through other states."""
+    sees = np.array(ca.DM(ca.jacobian_sparsity(h, symbols)).full()).any(axis=0)
+    feeds = np.array(ca.DM(ca.jacobian_sparsity(f, symbols)).full()) != 0  # nx x ns: symbol j enters x_i'
+    for _ in range(x.numel()):
+        sees = sees | (feeds & sees[: x.numel(), None]).any(axis=0)
+    return [int(j) for j in np.flatnonzero(~sees)]
+
+
+def _constant_entries(f: ca.SX, symbols: ca.SX) -> np.ndarray:
+    jacobian = ca.densify(ca.jacobian(f, symbols))
+    values = np.zeros(jacobian.shape)
+    for i in range(jacobian.shape[0]):
+        for j in range(jacobian.shape[1]):
+            entry = ca.simplify(jacobian[i, j])
+            if entry.is_constant():
+                values[i, j] = float(entry)
+    return values
+
+
+def _used(expression: ca.SX, symbols: ca.SX) -> list[int]:
+    pattern: Sequence[bool] = ca.which_depends(expression, symbols, 1, False) if expression.numel() and symbols.numel() else []
+    return [j for j, used in enumerate(pattern) if used]
