@@ -11,7 +11,7 @@ class SystemFileError(ValueError):
 
 
 class ExperimentError(ValueError):
-    """What was asked of a system is impossible: an unknown variable, a value of the wrong kind, a step that does not fit."""
+    """What was asked of a system is impossible: an unknown variable, a value of the wrong kind, an unfit step."""
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

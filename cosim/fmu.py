@@ -21,8 +21,8 @@ INTEGER_LIMIT = 2**31  # fmi2Integer is a C int
 def read_description(fmu: Path) -> ModelDescription:
     """The model description of the FMI 2.0 co-simulation FMU at `fmu`.
 
-    It must be valid against FMI's schema. The standard's further rules are left to a compliance check: FMUs by common tools
-    break some of them and run well.
+    It must be valid against FMI's schema. The standard's further rules are left to a compliance check: FMUs by common
+    tools break some of them and run well.
 
     Raises:
         SystemFileError: no such file, not an FMU, invalid XML (with its line), another FMI version, no co-simulation.

@@ -1,7 +1,7 @@
 """A system as a file: SSP 1.0 (.ssp), a zip with SystemStructure.ssd and the FMUs in resources/.
 
-SSP 1.0 has no place for the communication step size. It travels in the annotation that the Open Simulation Platform defined for
-it (`osp:FixedStepAlgorithm` in the default experiment), which libcosim reads too.
+SSP 1.0 has no place for the communication step size. It travels in the annotation that the Open Simulation Platform defined
+for it (`osp:FixedStepAlgorithm` in the default experiment), which libcosim reads too.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _PREFIXES = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "osp": OSP}  # literal: several
 def write_ssp(system: System, path: Path) -> None:
     """Write `system` to `path`: the same system and FMUs give the same bytes.
 
-    Every input and output of every element becomes a connector, and so does every parameter that has a value. An FMU that
-    several elements use is stored once.
+    Every input and output of every element becomes a connector, and so does every parameter that has a value. An FMU
+    that several elements use is stored once.
 
     Raises:
         SystemFileError: the system contradicts its FMUs (see `cosim.system.resolve`), or two FMUs share a file name.

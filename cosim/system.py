@@ -30,8 +30,8 @@ class System:
         name: what the system is called.
         elements: instances by name; a name holds no dot.
         connections: pairs `("plant.y", "observer.y")`: an output, then the input that it drives.
-        start, stop, step: the default experiment [s]. Without a `stop` the longest of the FMUs' default experiments counts,
-            without a `step` the smallest of their step sizes.
+        start, stop, step: the default experiment [s]. Without a `stop` the longest of the FMUs' default experiments
+            counts, without a `step` the smallest of their step sizes.
         description: one sentence for whoever opens the file.
     """
 
@@ -97,8 +97,8 @@ def resolve(system: System) -> ResolvedSystem:
     """Read the FMUs of `system` and look up every name in them.
 
     Raises:
-        SystemFileError: an FMU that cannot be used, an unknown element or variable, a parameter value of the wrong kind, a
-            connection whose ends do not fit together, an input that is driven twice.
+        SystemFileError: an FMU that cannot be used, an unknown element or variable, a parameter value of the wrong kind,
+            a connection whose ends do not fit together, an input that is driven twice.
     """
     if not system.elements:
         raise SystemFileError(f"system '{system.name}' has no elements")
@@ -180,9 +180,8 @@ def _check_units(connection: Connection, descriptions: Mapping[str, ModelDescrip
     units = [_base_unit(descriptions[element], unit_of(variable)) for element, variable in ends]
     if None in units or BaseUnit() in units or units[0] == units[1]:
         return
-    raise SystemFileError(
-        f"connection {connection}: the units '{unit_of(connection.output)}' and '{unit_of(connection.input)}' differ, and values are not converted"
-    )
+    output, goal = unit_of(connection.output), unit_of(connection.input)
+    raise SystemFileError(f"connection {connection}: the units '{output}' and '{goal}' differ; values are not converted")
 
 
 def _base_unit(description: ModelDescription, unit: str) -> BaseUnit | None:

@@ -36,7 +36,6 @@ from observers.numerics.semilinear import split, unreachable
 MOST_ITERATIONS = 40
 HUGE = 1e150  # |measurement| beyond: not finite; its square still is a number
 SMOOTHNESS = 2  # m of Assumption 2, for the bound (N - 1)^(3/2 - m)
-DETERMINED = 1e-12  # conditioning of the normal matrix below which a window does not determine the state
 
 STATUS = Enumeration(
     "PseudospectralStatus",
@@ -228,7 +227,7 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
     V, x0 = (
         ca.if_else(fresh, f, ca.if_else(moving, m, old)) for f, m, old in zip(flat, moved, (s.V, s.x0), strict=True)
     )
-    unknown = ca.vertcat(x0, s.theta)
+    unknown = ca.vertcat(x0, ca.if_else(ca.logic_and(fresh, ca.logic_not(moving)), q.guess[nx:], s.theta))
 
     # Step 3: Problem 2.
     if cost == "spline":
@@ -247,7 +246,7 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
     found = _solve(problem, lengths)(solve, V, unknown, data, q.model, compared, point_weight, q.regularisation, q.tolerance, q.iteration_limit)
     V_new, unknown_new, size, cost_after, conditioning, iterations = found
     converged = ca.logic_and(solve, size < q.tolerance**2)
-    determined = conditioning > DETERMINED
+    determined = conditioning > q.conditioning_limit
     accepted = ca.logic_and(converged, determined)
     failed = ca.logic_and(solve, ca.logic_not(converged))
     kept = ca.logic_and(wanted, ca.logic_not(solve))
@@ -292,7 +291,7 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
             "innovation": innovation,
             "model": q.model,
             "k": s.k + 1,
-            "fresh": ca.if_else(solve, failed, s.fresh),
+            "fresh": ca.if_else(accepted, 0, ca.if_else(failed, 1, fresh)),
             "changed": changed,
             "status": status,
             "cost": cost_now,
@@ -509,6 +508,14 @@ def _ports(model: Model) -> SimpleNamespace:
         ),
         Port("tuning.regularisation", "damping of the step, relative to nominal values; it does not bias the solution", start=1e-14, min=0.0, variability="tunable"),
         Port("tuning.cost_threshold", "cost of the prediction below which no solve is done", min=0.0, variability="tunable"),
+        Port(
+            "tuning.conditioning_limit",
+            "conditioning at or below which the window does not determine the state",
+            start=1e-7,
+            min=0.0,
+            max=1.0,
+            variability="tunable",
+        ),
         Port("tuning.residual_limit", "rms output residual above which the status is inconsistent", start=1e30, min=0.0, variability="tunable"),
     )
     innovations = [f"diagnostics.innovation[{i}]" for i in range(1, len(model.outputs) + 1)] if len(model.outputs) > 1 else ["diagnostics.innovation"]
