@@ -1,7 +1,7 @@
 """The master: it couples the FMUs of a system by fixed communication steps and records what they put out.
 
 In every instant all outputs are read, all inputs set, and then every element steps (Jacobi): no element sees another's
-future, and the order of the elements does not matter. Outputs that depend directly on inputs are read after those are set.
+future, and the order of the elements does not matter. Outputs that depend directly on inputs are read after those.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ def output_levels(resolved: ResolvedSystem) -> dict[tuple[str, str], int]:
     """The level of every output, by (element, variable).
 
     The outputs of a level are read together, then the inputs set that they drive, then the next level is read. Level 0
-    needs no input of its instant; an output that depends directly on connected inputs lies one level above all the outputs
-    that drive those.
+    needs no input of its instant; an output that depends directly on connected inputs lies one level above all the
+    outputs that drive those.
 
     Raises:
         SystemFileError: an algebraic loop; the message lists its variables.

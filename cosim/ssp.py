@@ -1,7 +1,7 @@
 """A system as a file: SSP 1.0 (.ssp), a zip with SystemStructure.ssd and the FMUs in resources/.
 
-SSP 1.0 has no place for the communication step size. It travels in the annotation that the Open Simulation Platform defined
-for it (`osp:FixedStepAlgorithm` in the default experiment), which libcosim reads too.
+SSP 1.0 has no place for the communication step size. It travels in the annotation that the Open Simulation Platform
+defined for it (`osp:FixedStepAlgorithm` in the default experiment), which libcosim reads too.
 """
 
 from __future__ import annotations

@@ -20,9 +20,9 @@ _NS = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "osp": OSP}
 def read_ssp(path: Path, directory: Path) -> System:
     """The system in the .ssp file at `path`; its FMUs are written to `directory`, where the system refers to them.
 
-    Parameter values may be inline or in .ssv files, at components or at the system (which has precedence). What would
-    change values on their way (transformations, parameter mappings) or does not fit a flat system of FMUs (nested systems,
-    connectors of the system) is refused, not skipped. Names are looked up in the FMUs by `cosim.system.resolve`.
+    Parameter values may be inline or in .ssv files, at components or at the system (which has precedence). Refused, not
+    skipped, are transformations and parameter mappings, which would change values on their way, nested systems and
+    connectors of the system. Names are looked up in the FMUs by `cosim.system.resolve`.
 
     Raises:
         SystemFileError: no such file, not a zip, no or invalid SystemStructure.ssd (with its line), a missing resource,

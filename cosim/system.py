@@ -97,8 +97,8 @@ def resolve(system: System) -> ResolvedSystem:
     """Read the FMUs of `system` and look up every name in them.
 
     Raises:
-        SystemFileError: an FMU that cannot be used, an unknown element or variable, a parameter value of the wrong kind,
-            a connection whose ends do not fit together, an input that is driven twice.
+        SystemFileError: an FMU that cannot be used, an unknown element or variable, a parameter value of the wrong
+            kind, a connection whose ends do not fit together, an input that is driven twice.
     """
     if not system.elements:
         raise SystemFileError(f"system '{system.name}' has no elements")
@@ -181,7 +181,7 @@ def _check_units(connection: Connection, descriptions: Mapping[str, ModelDescrip
     if None in units or BaseUnit() in units or units[0] == units[1]:
         return
     output, goal = unit_of(connection.output), unit_of(connection.input)
-    raise SystemFileError(f"connection {connection}: the units '{output}' and '{goal}' differ; values are not converted")
+    raise SystemFileError(f"connection {connection}: the units '{output}' and '{goal}' differ; nothing converts them")
 
 
 def _base_unit(description: ModelDescription, unit: str) -> BaseUnit | None:

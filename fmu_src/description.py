@@ -54,7 +54,12 @@ class Entry:
 
 def entries(component: Component) -> list[Entry]:
     """All variables in the order of their value references."""
-    groups = {"input": component.inputs, "parameter": component.parameters, "output": component.outputs, "constant": component.constants}
+    groups = {
+        "input": component.inputs,
+        "parameter": component.parameters,
+        "output": component.outputs,
+        "constant": component.constants,
+    }
     return [Entry(port, group) for group, ports in groups.items() for port in ports]
 
 
@@ -101,7 +106,13 @@ def describe(component: Component, guid: str, source_files: Iterable[str]) -> by
     categories = etree.SubElement(root, "LogCategories")
     for name, description in LOG_CATEGORIES.items():
         etree.SubElement(categories, "Category", name=name, description=description)
-    etree.SubElement(root, "DefaultExperiment", startTime="0", stopTime=_real(component.stop_time), stepSize=_real(component.step_size))
+    etree.SubElement(
+        root,
+        "DefaultExperiment",
+        startTime="0",
+        stopTime=_real(component.stop_time),
+        stepSize=_real(component.step_size),
+    )
     model_variables = etree.SubElement(root, "ModelVariables")
     for reference, entry in enumerate(variables):
         _scalar_variable(model_variables, reference, entry)
@@ -120,20 +131,28 @@ def _check(component: Component, variables: list[Entry]) -> None:
         port = entry.port
         if not _NAME.match(port.name):
             raise ExportError(f"{where}: '{port.name}' is no structured variable name such as a.b[1]")
-        if not port.description:
-            raise ExportError(f"{where}: '{port.name}' has no description")
-        if port.kind not in ("Real", "Integer", "Enumeration") or (port.kind == "Enumeration") != (port.enumeration is not None):
-            raise ExportError(f"{where}: '{port.name}' is of kind '{port.kind}'; known: Real, Integer, Enumeration (with its enumeration)")
+        if port.kind not in ("Real", "Integer", "Enumeration") or (port.kind == "Enumeration") != (
+            port.enumeration is not None
+        ):
+            raise ExportError(
+                f"{where}: '{port.name}' is of kind '{port.kind}'; known: Real, Integer, Enumeration (with its enumeration)"
+            )
         if entry.group == "input" and port.kind != "Real":
             raise ExportError(f"{where}: the input '{port.name}' is of kind '{port.kind}', inputs must be Real")
         if entry.group != "constant" and port.variability not in _VARIABILITIES[entry.group]:
             allowed = " or ".join(_VARIABILITIES[entry.group])
-            raise ExportError(f"{where}: the {entry.group} '{port.name}' has the variability '{port.variability}', it must be {allowed}")
+            raise ExportError(
+                f"{where}: the {entry.group} '{port.name}' has the variability '{port.variability}', it must be {allowed}"
+            )
         if port.kind != "Real" and port.variability == "continuous":
             raise ExportError(f"{where}: '{port.name}' is of kind '{port.kind}' and hence cannot be continuous")
         low, high = bounds(port)
-        if entry.initial == "exact" and not (low <= port.start <= high and (port.kind == "Real" or float(port.start).is_integer())):
-            raise ExportError(f"{where}: the start value {port.start:g} of '{port.name}' is no {port.kind} in [{low:g}, {high:g}]")
+        if entry.initial == "exact" and not (
+            low <= port.start <= high and (port.kind == "Real" or float(port.start).is_integer())
+        ):
+            raise ExportError(
+                f"{where}: the start value {port.start:g} of '{port.name}' is no {port.kind} in [{low:g}, {high:g}]"
+            )
 
 
 def _unit_definitions(root: etree._Element, component: Component, variables: list[Entry]) -> None:
@@ -142,7 +161,9 @@ def _unit_definitions(root: etree._Element, component: Component, variables: lis
         try:
             unit = units.parse(name)
         except ValueError as error:
-            raise ExportError(f"component '{component.name}': the unit '{name}' of '{user}' cannot be understood: {error}") from None
+            raise ExportError(
+                f"component '{component.name}': the unit '{name}' of '{user}' cannot be understood: {error}"
+            ) from None
         element = etree.SubElement(etree.SubElement(definitions, "Unit", name=name), "BaseUnit")
         for base in units.BASE:
             if base in unit.exponents:
@@ -180,7 +201,9 @@ def _type_definitions(root: etree._Element, component: Component, variables: lis
         taken.add(type_name(unit))
     for enumeration in _enumerations(component, variables):
         if enumeration.name in taken:
-            raise ExportError(f"component '{component.name}': the enumeration '{enumeration.name}' has the name of a variable or type")
+            raise ExportError(
+                f"component '{component.name}': the enumeration '{enumeration.name}' has the name of a variable or type"
+            )
         simple = etree.SubElement(definitions, "SimpleType", name=enumeration.name)
         element = etree.SubElement(simple, "Enumeration")
         for value, (item, description) in enumerate(enumeration.items, start=1):
@@ -201,7 +224,12 @@ def _enumerations(component: Component, variables: list[Entry]) -> list[Enumerat
 def _scalar_variable(parent: etree._Element, reference: int, entry: Entry) -> None:
     port = entry.port
     variable = etree.SubElement(
-        parent, "ScalarVariable", name=port.name, valueReference=str(reference), description=port.description, causality=entry.causality
+        parent,
+        "ScalarVariable",
+        name=port.name,
+        valueReference=str(reference),
+        description=port.description or port.name,
+        causality=entry.causality,
     )
     variable.set("variability", "constant" if entry.group == "constant" else port.variability)
     if entry.initial is not None:
@@ -227,13 +255,17 @@ def _scalar_variable(parent: etree._Element, reference: int, entry: Entry) -> No
 def _model_structure(root: etree._Element, component: Component, variables: list[Entry]) -> None:
     """Dependencies from the sparsity of `output`: on inputs at a communication point, and on all start values in initialization mode."""
     structure = etree.SubElement(root, "ModelStructure")
-    outputs = [(row, index) for row, index in enumerate(_indices(variables, "output")) if variables[index].causality == "output"]
+    outputs = [
+        (row, index)
+        for row, index in enumerate(_indices(variables, "output"))
+        if variables[index].causality == "output"
+    ]
     if not outputs:
         return
     inputs, parameters = _indices(variables, "input"), _indices(variables, "parameter")
     feedthrough = _dependencies(component.output, 1)
     p, u, t = ca.MX.sym("p", len(parameters)), ca.MX.sym("u", len(inputs)), ca.MX.sym("t")
-    initial = ca.Function("initial", [p, u], [component.output(component.start(p, t), u, p, t)], {"allow_free": True})
+    initial = ca.Function("initial", [p, u, t], [component.output(component.start(p, t), u, p, t)])
     on_parameters, on_inputs = _dependencies(initial, 0), _dependencies(initial, 1)
     element = etree.SubElement(structure, "Outputs")
     for row, index in outputs:

@@ -45,12 +45,28 @@ def compile_library(name: str, folder: Path, platform: str) -> bytes:
     sources = sorted(path.name for path in folder.glob("*.c"))
     install_name = [f"-Wl,-install_name,@rpath/{library}"] if target.suffix == ".dylib" else []
     # Relative names only, so that no path of this machine gets into the library.
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", target.target, *FLAGS, *LINK, *install_name, "-o", library, *sources, "-lm"]
+    command = [
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        "-target",
+        target.target,
+        *FLAGS,
+        *LINK,
+        *install_name,
+        "-o",
+        library,
+        *sources,
+        "-lm",
+    ]
     cache = str(cache_folder())
     environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     if result.returncode != 0:
-        raise ExportError(f"component '{name}': the C compiler refused its sources for {platform}:\n{result.stderr.strip()}")
+        raise ExportError(
+            f"component '{name}': the C compiler refused its sources for {platform}:\n{result.stderr.strip()}"
+        )
     made = folder / library
     content = made.read_bytes()
     made.unlink()

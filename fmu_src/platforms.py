@@ -48,7 +48,9 @@ def resolve(names: Iterable[str]) -> list[str]:
         elif name == "host":
             machine = (platform.system(), platform.machine())
             if machine not in _HOSTS:
-                raise ExportError(f"this machine ({' '.join(machine)}) is none of the platforms {', '.join(PLATFORMS)}: name one of them")
+                raise ExportError(
+                    f"this machine ({' '.join(machine)}) is none of the platforms {', '.join(PLATFORMS)}: name one of them"
+                )
             wanted.add(_HOSTS[machine])
         elif name in PLATFORMS:
             wanted.add(name)

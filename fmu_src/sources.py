@@ -28,7 +28,11 @@ _CASADI_WARNINGS = """\
 
 def fixed_sources() -> dict[str, bytes]:
     """Contents by file name of what is the same in every FMU: the shell, and FMI's headers from the fmpy package."""
-    found = {entry.name: entry.read_bytes() for entry in (files("fmu_src") / "shell").iterdir() if entry.name.endswith((".c", ".h"))}
+    found = {
+        entry.name: entry.read_bytes()
+        for entry in (files("fmu_src") / "shell").iterdir()
+        if entry.name.endswith((".c", ".h"))
+    }
     headers = files("fmpy") / "c-code"
     return found | {name: (headers / name).read_bytes() for name in FMI_HEADERS}
 
@@ -50,7 +54,9 @@ def functions(component: Component) -> dict[str, bytes]:
     if "#error" in code:
         raise ExportError(_cannot_generate(component))
     if "CASADI_MAX_NUM_THREADS" in code:
-        raise ExportError(f"component '{component.name}': a solver in it keeps its memory in static variables of the C code, shared by all instances")
+        raise ExportError(
+            f"component '{component.name}': a solver in it keeps its memory in static variables of the C code, shared by all instances"
+        )
     return {"functions.c": (_CASADI_WARNINGS + code).encode(), "functions.h": header.encode()}
 
 
@@ -59,9 +65,15 @@ def _cannot_generate(component: Component) -> str:
     for name, function in component.functions.items():
         generator = ca.CodeGenerator(name)
         generator.add(function)
-        reasons = [line.strip().removeprefix("#error ") for line in generator.dump().splitlines() if line.strip().startswith("#error")]
+        reasons = [
+            line.strip().removeprefix("#error ")
+            for line in generator.dump().splitlines()
+            if line.strip().startswith("#error")
+        ]
         if reasons:
-            return f"component '{component.name}': CasADi cannot write C for the function '{name}': {'; '.join(reasons)}"
+            return (
+                f"component '{component.name}': CasADi cannot write C for the function '{name}': {'; '.join(reasons)}"
+            )
     return f"component '{component.name}': CasADi cannot write C for the functions together"
 
 
@@ -109,7 +121,10 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "flow": "flow",
         "jump": "jump" if component.jump is not None else "NULL",
         "output": "output",
-        **{f"sz_{kind}": _largest([f"{f}_SZ_{kind.upper()}" for f in component.functions]) for kind in ("arg", "res", "iw", "w")},
+        **{
+            f"sz_{kind}": _largest([f"{f}_SZ_{kind.upper()}" for f in component.functions])
+            for kind in ("arg", "res", "iw", "w")
+        },
     }
     lines = [
         f"/* The tables of {component.name}, generated. */",

@@ -1,0 +1,97 @@
+"""Small components made by hand, for tests of the shell: every kind of variable, every way in which time enters."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from observers.component import Component, Enumeration, Port
+
+STATUS = Enumeration("ToyStatus", (("Good", "the last sample was used"), ("Rejected", "the last sample was not finite")))
+MODE = Enumeration("ToyMode", (("Average", "move towards the sample"), ("Replace", "take the sample")))
+
+
+def sampled_toy() -> Component:
+    """A level that integrates `rate` between samples, twice as fast after `kick_time`, and is corrected by the sampled `y`.
+
+    z = (level, level at the last sample, rejected samples, status). Not a finite y: the sample is rejected and counted.
+    """
+    parameters = (
+        Port("start.level", "level at the start time", "m", start=1.0, min=-10.0, max=10.0, variability="fixed"),
+        Port("sample_time", "sample time", "s", start=0.1, min=0.01, max=10.0, variability="fixed"),
+        Port("kick_time", "from here on the level moves twice as fast", "s", start=0.33, variability="fixed"),
+        Port("tuning.gain", "weight of a sample", start=0.5, min=0.0, max=1.0, variability="tunable"),
+        Port("tuning.scale", "divides the gain", start=1, min=1, max=5, kind="Integer", variability="tunable"),
+        Port("tuning.mode", "what a sample does", start=1, kind="Enumeration", enumeration=MODE, variability="tunable"),
+    )
+    outputs = (
+        Port("estimate.level", "level now", "m"),
+        Port("filtered.level", "level at the last sample", "m", variability="discrete"),
+        Port("diagnostics.status", "how it goes", start=1, kind="Enumeration", enumeration=STATUS, variability="discrete"),
+        Port("diagnostics.rejected_samples", "samples not used", kind="Integer", variability="discrete"),
+        Port("diagnostics.doubled", "twice the level", "m", local=True),
+    )
+    z, u, p, t, h = ca.SX.sym("z", 4), ca.SX.sym("u", 2), ca.SX.sym("p", 6), ca.SX.sym("t"), ca.SX.sym("h")
+    level, filtered, rejected, status = ca.vertsplit(z)
+    y, rate = ca.vertsplit(u)
+    start, _, kick, gain, scale, mode = ca.vertsplit(p)
+    finite = ca.fabs(y) < 1e300
+    weight = ca.if_else(mode == 2, 1, gain / scale)
+    corrected = ca.if_else(finite, level + weight * (y - level), level)
+    speed = ca.if_else(t + h / 2 > kick, 2, 1)
+    return Component(
+        name="sampled_toy",
+        description="Sampled & integrated <toy>",
+        start=ca.Function("start", [p, t], [ca.vertcat(start, start, 0, 1)]),
+        flow=ca.Function("flow", [z, u, p, t, h], [ca.vertcat(level + h * speed * rate, filtered, rejected, status)]),
+        jump=ca.Function(
+            "jump", [z, u, p, t], [ca.vertcat(corrected, corrected, rejected + (1 - finite), ca.if_else(finite, 1, 2))]
+        ),
+        output=ca.Function("output", [z, u, p, t], [ca.vertcat(level, filtered, status, rejected, 2 * level)]),
+        inputs=(Port("y", "measured level", "m"), Port("rate", "known rate", "m/s", start=0.25)),
+        parameters=parameters,
+        outputs=outputs,
+        constants=(Port("certificate", "a number of the method", "1/(V2.s2)", start=0.125),),
+        sample_time="sample_time",
+        samples_inputs=True,
+        breaks=("kick_time",),
+        max_step=0.03,
+        stop_time=2.0,
+        step_size=0.1,
+        counters=("diagnostics.rejected_samples",),
+        documentation="<p>For tests.</p>",
+    )
+
+
+def feedthrough_toy() -> Component:
+    """A static controller: force = -gain * position, plus a bias that no input reaches."""
+    z, u, p, t, h = ca.SX(0, 1), ca.SX.sym("u", 1), ca.SX.sym("p", 2), ca.SX.sym("t"), ca.SX.sym("h")
+    return Component(
+        name="feedthrough_toy",
+        description="Static gain",
+        start=ca.Function("start", [p, t], [z]),
+        flow=ca.Function("flow", [z, u, p, t, h], [z]),
+        output=ca.Function("output", [z, u, p, t], [ca.vertcat(-p[0] * u[0], p[1] + t)]),
+        inputs=(Port("position", "position", "m"),),
+        parameters=(
+            Port("gain", "gain", "N/m", start=2.0, variability="tunable"),
+            Port("bias", "bias", "N", start=1.0, variability="tunable"),
+        ),
+        outputs=(Port("force", "force", "N"), Port("bias_now", "bias plus time", "N")),
+    )
+
+
+def growing_toy() -> Component:
+    """z' = z^2 by Euler steps: leaves the doubles soon, which the shell must not let pass. Two functions of MX, with a linear solve inside."""
+    z, u, p, t, h = ca.MX.sym("z", 2), ca.MX.sym("u", 0), ca.MX.sym("p", 1), ca.MX.sym("t"), ca.MX.sym("h")
+    matrix = ca.vertcat(ca.horzcat(2, 1), ca.horzcat(1, 3))
+    return Component(
+        name="growing_toy",
+        description="A state that blows up",
+        start=ca.Function("start", [p, t], [ca.vertcat(p, p)]),
+        flow=ca.Function("flow", [z, u, p, t, h], [z + h * ca.mtimes(matrix, ca.solve(matrix, z, "qr")) ** 2]),
+        output=ca.Function("output", [z, u, p, t], [z[0]]),
+        parameters=(Port("start.z", "start value", start=1.0, variability="fixed"),),
+        outputs=(Port("z", "the state"),),
+        stop_time=1.0,
+        step_size=0.1,
+    )
