@@ -66,9 +66,7 @@ def _status(result: Result, name: str) -> go.Figure:
     line = {"color": COLOURS[0], "width": 1.8, "shape": "hv"}
     figure = go.Figure(_curve(result.time, result[name], name=name, line=line))
     lowest, highest = min(items), max(items)
-    figure.update_yaxes(
-        tickvals=list(items), ticktext=list(items.values()), range=[lowest - 0.5, highest + 0.5], automargin=True
-    )
+    figure.update_yaxes(tickvals=list(items), ticktext=list(items.values()), range=[lowest - 0.5, highest + 0.5])
     figure.update_xaxes(title_text=TIME)
     return _finish(figure, f"Status ({name})", 150 + 26 * len(items))
 
@@ -149,7 +147,7 @@ def _unit(result: Result, name: str) -> str:
 def _finish(figure: go.Figure, title: str, height: int) -> go.Figure:
     axis = {"showline": True, "linecolor": "#1a1a1a", "gridcolor": "#e4e4e4", "zeroline": False, "ticks": "outside"}
     figure.update_xaxes(**axis)
-    figure.update_yaxes(**axis)
+    figure.update_yaxes(**axis, automargin=True, title_standoff=12)
     return figure.update_layout(
         template="none",
         title={"text": title, "x": 0, "xref": "paper", "font": {"size": 18}},

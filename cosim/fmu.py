@@ -120,7 +120,7 @@ def _whole(variable: ModelVariable, value: Value) -> int:
 def _item(variable: ModelVariable, value: Value) -> int:
     items = enumeration_items(variable)
     for number, name in items.items():
-        if value == name or str(value) == str(number) or (not isinstance(value, str) and value == number):
+        if value in (name, number, str(number)):
             return number
     known = ", ".join(f"{name} ({number})" for number, name in items.items())
     raise ValueError(f"'{variable.name}' is an Enumeration: '{value}' is none of {known}")

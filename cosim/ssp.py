@@ -18,7 +18,7 @@ from lxml import etree
 
 from cosim.errors import SystemFileError
 from cosim.fmu import Value, enumeration_items, unit_of
-from cosim.system import ResolvedSystem, System, resolve
+from cosim.system import BASE_UNIT, ResolvedSystem, System, resolve
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -179,9 +179,7 @@ def _add_units(root: etree._Element, resolved: ResolvedSystem) -> None:
         used = {unit_of(variable) for _, variable in _connectors(resolved, name)}
         for unit in description.unitDefinitions:
             if unit.name in used and unit.baseUnit is not None:
-                exponents = {k: str(getattr(unit.baseUnit, k)) for k in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
-                base = {k: v for k, v in exponents.items() if v != "0"}
-                base |= {k: _literal(float(getattr(unit.baseUnit, k))) for k in ("factor", "offset")}
+                base = {key: _literal(getattr(unit.baseUnit, key)) for key in BASE_UNIT}
                 if found.setdefault(unit.name, base) != base:
                     raise SystemFileError(f"element '{name}': another FMU defines the unit '{unit.name}' differently")
     if found:

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fmpy.model_description import BaseUnit, ModelDescription, ModelVariable
+from fmpy.model_description import ModelDescription, ModelVariable
 
 from cosim.errors import ExperimentError, SystemFileError, suggest
 from cosim.fmu import Value, read_description, typed_value, unit_of
 
 INTEGERS = ("Integer", "Enumeration")  # the two types that travel as fmi2Integer
+BASE_UNIT = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
+_DIMENSIONLESS = (0.0,) * 8 + (1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -84,13 +86,16 @@ class ResolvedSystem:
         defaults = [d.defaultExperiment for d in self.descriptions.values() if d.defaultExperiment is not None]
         stops = [float(d.stopTime) for d in defaults if d.stopTime is not None]
         steps = [float(d.stepSize) for d in defaults if d.stepSize is not None]
-        stop = next((s for s in (stop, self.system.stop, max(stops, default=None)) if s is not None), None)
-        step = next((s for s in (step, self.system.step, min(steps, default=None)) if s is not None), None)
-        for what, value in (("stop time", stop), ("step size", step)):
-            if value is None:
-                raise ExperimentError(f"system '{self.system.name}' and its FMUs name no {what}: give one")
-        assert stop is not None and step is not None
-        return stop, step
+        return (
+            self._first("stop time", stop, self.system.stop, max(stops, default=None)),
+            self._first("step size", step, self.system.step, min(steps, default=None)),
+        )
+
+    def _first(self, what: str, *candidates: float | None) -> float:
+        for value in candidates:
+            if value is not None:
+                return value
+        raise ExperimentError(f"system '{self.system.name}' and its FMUs name no {what}: give one")
 
 
 def resolve(system: System) -> ResolvedSystem:
@@ -178,11 +183,13 @@ def _check_units(connection: Connection, descriptions: Mapping[str, ModelDescrip
     """
     ends = ((connection.source, connection.output), (connection.target, connection.input))
     units = [_base_unit(descriptions[element], unit_of(variable)) for element, variable in ends]
-    if None in units or BaseUnit() in units or units[0] == units[1]:
+    if None in units or _DIMENSIONLESS in units or units[0] == units[1]:
         return
     output, goal = unit_of(connection.output), unit_of(connection.input)
     raise SystemFileError(f"connection {connection}: the units '{output}' and '{goal}' differ; nothing converts them")
 
 
-def _base_unit(description: ModelDescription, unit: str) -> BaseUnit | None:
-    return next((u.baseUnit for u in description.unitDefinitions if u.name == unit), None)
+def _base_unit(description: ModelDescription, unit: str) -> tuple[float, ...] | None:
+    """SI exponents, factor and offset of a unit; None if the FMU does not define it."""
+    base = next((u.baseUnit for u in description.unitDefinitions if u.name == unit), None)
+    return None if base is None else tuple(float(getattr(base, key)) for key in BASE_UNIT)

@@ -15,13 +15,10 @@ from observers.component import Component, Port
 
 FMI_HEADERS = ("fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h")
 
-# CasADi gives every function the same five arguments whether it needs them or not, and lays down helpers that a function may not call.
-_CASADI_WARNINGS = """\
+# CasADi gives every function the same five arguments, whether it needs them or not.
+_CASADI_WARNINGS = b"""\
 #if defined __GNUC__
 #pragma GCC diagnostic ignored "-Wunused-parameter"
-#pragma GCC diagnostic ignored "-Wunused-function"
-#pragma GCC diagnostic ignored "-Wunused-variable"
-#pragma GCC diagnostic ignored "-Wunused-but-set-variable"
 #endif
 """
 
@@ -57,7 +54,7 @@ def functions(component: Component) -> dict[str, bytes]:
         raise ExportError(
             f"component '{component.name}': a solver in it keeps its memory in static variables of the C code, shared by all instances"
         )
-    return {"functions.c": (_CASADI_WARNINGS + code).encode(), "functions.h": header.encode()}
+    return {"functions.c": _CASADI_WARNINGS + code.encode(), "functions.h": header.encode()}
 
 
 def _cannot_generate(component: Component) -> str:

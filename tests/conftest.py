@@ -1,4 +1,4 @@
-"""What the tests of built FMUs share: each FMU is built once per session, and driven through fmpy with its messages recorded."""
+"""What the tests of built FMUs share: each is built once per session, and driven through fmpy, messages recorded."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 
 class Slave:
-    """One instance of an FMU: variables by name, calls by fmpy, messages as (status, category, text), memory counted."""
+    """An instance of an FMU: variables by name, calls by fmpy, messages (status, category, text), memory counted."""
 
     def __init__(self, folder: Path, name: str = "instance", guid: str | None = None, logging: bool = True):
         description = fmpy.read_model_description(str(folder))

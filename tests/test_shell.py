@@ -1,4 +1,4 @@
-"""The FMU's shell: the same time semantics as the Python face bit for bit, nothing lost when a call is refused, states that resume."""
+"""The FMU's shell: the Python face's time semantics bit for bit, nothing lost in refused calls, states that resume."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOISY = {
 
 
 def grid(kind: str, seed: int = 1, steps: int = 300) -> tuple[np.ndarray, np.ndarray]:
-    """Communication points and step sizes of an importer that multiplies, accumulates or rounds: the same varied steps of 10 to 100 ms."""
+    """Times and step sizes (10 to 100 ms, the same for all) of an importer that multiplies, accumulates or rounds."""
     ticks = np.concatenate([[0], np.cumsum(np.random.default_rng(seed).integers(1, 11, steps))])
     exact = ticks * 0.01
     sizes = np.diff(ticks) * 0.01
@@ -58,7 +58,12 @@ def run(instance: Slave, kind: str, drive: Callable[[float], dict[str, float]]) 
 
 def signals(t: float) -> dict[str, float]:
     y = math.nan if 3.0 < t < 3.5 else math.sin(t)
-    return {"y": y, "rate": 0.1 * math.cos(3 * t), "tuning.gain": 0.25 if t > 5 else 0.5, "tuning.mode": 2 if t > 7 else 1}
+    return {
+        "y": y,
+        "rate": 0.1 * math.cos(3 * t),
+        "tuning.gain": 0.25 if t > 5 else 0.5,
+        "tuning.mode": 2 if t > 7 else 1,
+    }
 
 
 CASES = {
@@ -175,7 +180,10 @@ REFUSED: dict[str, tuple[Callable[[Slave], object], list[str]]] = {
     "derivative of a parameter": (lambda s: s.fmu.setRealInputDerivatives([2], [1], [1.0]), ["2 is no input"]),
     "output derivative": (lambda s: s.fmu.getRealOutputDerivatives([8], [1]), ["maxOutputDerivativeOrder=0"]),
     "cancel": (lambda s: s.fmu.cancelStep(), ["no step is in progress"]),
-    "initialization mode again": (lambda s: s.fmu.enterInitializationMode(), ["fmi2EnterInitializationMode", "initialized"]),
+    "initialization mode again": (
+        lambda s: s.fmu.enterInitializationMode(),
+        ["fmi2EnterInitializationMode", "initialized"],
+    ),
     "exit of a mode that is over": (lambda s: s.fmu.exitInitializationMode(), ["fmi2ExitInitializationMode"]),
     "set-up after initialization": (lambda s: s.fmu.setupExperiment(), ["fmi2SetupExperiment", "initialized"]),
     "unknown log category": (lambda s: s.fmu.setDebugLogging(True, ["logStatusError", "logNoise"]), ["logNoise"]),

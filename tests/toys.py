@@ -6,12 +6,14 @@ import casadi as ca
 
 from observers.component import Component, Enumeration, Port
 
-STATUS = Enumeration("ToyStatus", (("Good", "the last sample was used"), ("Rejected", "the last sample was not finite")))
+STATUS = Enumeration(
+    "ToyStatus", (("Good", "the last sample was used"), ("Rejected", "the last sample was not finite"))
+)
 MODE = Enumeration("ToyMode", (("Average", "move towards the sample"), ("Replace", "take the sample")))
 
 
 def sampled_toy() -> Component:
-    """A level that integrates `rate` between samples, twice as fast after `kick_time`, and is corrected by the sampled `y`.
+    """A level that integrates `rate`, twice as fast after `kick_time`, and is corrected by the sampled `y`.
 
     z = (level, level at the last sample, rejected samples, status). Not a finite y: the sample is rejected and counted.
     """
@@ -26,7 +28,9 @@ def sampled_toy() -> Component:
     outputs = (
         Port("estimate.level", "level now", "m"),
         Port("filtered.level", "level at the last sample", "m", variability="discrete"),
-        Port("diagnostics.status", "how it goes", start=1, kind="Enumeration", enumeration=STATUS, variability="discrete"),
+        Port(
+            "diagnostics.status", "how it goes", start=1, kind="Enumeration", enumeration=STATUS, variability="discrete"
+        ),
         Port("diagnostics.rejected_samples", "samples not used", kind="Integer", variability="discrete"),
         Port("diagnostics.doubled", "twice the level", "m", local=True),
     )
@@ -81,7 +85,7 @@ def feedthrough_toy() -> Component:
 
 
 def growing_toy() -> Component:
-    """z' = z^2 by Euler steps: leaves the doubles soon, which the shell must not let pass. Two functions of MX, with a linear solve inside."""
+    """z' = z^2 by Euler steps leaves the doubles soon, which the shell must not let pass. Of MX, with a linear solve."""
     z, u, p, t, h = ca.MX.sym("z", 2), ca.MX.sym("u", 0), ca.MX.sym("p", 1), ca.MX.sym("t"), ca.MX.sym("h")
     matrix = ca.vertcat(ca.horzcat(2, 1), ca.horzcat(1, 3))
     return Component(

@@ -1,0 +1,199 @@
+"""Builds the catalogue: every FMU into `fmus/`, every system (.ssp) into `systems/`; or the FMUs of a user's own model.
+
+    python build_fmus.py                                   everything, for this machine's platform
+    python build_fmus.py --only duffing_pseudospectral     one FMU, or one system with the FMUs that it needs
+    python build_fmus.py --platforms all                   one file for Linux, Windows and macOS
+    python build_fmus.py --file my_model.py                every Component defined in the file
+"""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from cosim.ssp import write_ssp
+from cosim.system import Element, System
+from fmu_src import ExportError, export
+from observers.component import Component
+from observers.pseudospectral import pseudospectral
+from reference_models.duffing import DUFFING
+from reference_models.plant import plant
+from reference_models.sine import sine
+
+
+@cache
+def duffing() -> Component:
+    return plant(DUFFING, jumps={"theta": 2})
+
+
+# FMUs by name: how to make the component, and the plant that drives it in its documentation's figure.
+FMUS: dict[str, tuple[Callable[[], Component], Callable[[], Component] | None]] = {
+    "duffing": (duffing, None),
+    "duffing_pseudospectral": (lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8), duffing),
+    "duffing_pseudospectral_spline": (
+        lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8, cost="spline", name="duffing_pseudospectral_spline"),
+        duffing,
+    ),
+    "duffing_pseudospectral_3a": (
+        lambda: pseudospectral(DUFFING, sample_time=0.01, N=15, L=80, name="duffing_pseudospectral_3a", stop_time=50.0),
+        duffing,
+    ),
+    "duffing_pseudospectral_3b": (
+        lambda: pseudospectral(DUFFING, sample_time=0.5, N=50, L=10, name="duffing_pseudospectral_3b", stop_time=50.0),
+        duffing,
+    ),
+    "sine": (sine, None),
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A system of the catalogue: FMU names by element, parameter values, connections, experiment."""
+
+    description: str
+    fmus: Mapping[str, str]
+    parameters: Mapping[str, Mapping[str, float]]
+    stop: float
+    step: float
+    connections: Sequence[tuple[str, str]] = (("plant.y", "observer.y"),)
+
+    def system(self, name: str, fmu_directory: Path) -> System:
+        elements = {
+            element: Element(fmu_directory / f"{fmu}.fmu", dict(self.parameters.get(element, {}))) for element, fmu in self.fmus.items()
+        }
+        return System(name, elements, list(self.connections), stop=self.stop, step=self.step, description=self.description)
+
+
+GUESS = {"guess.x1": 0.0, "guess.x2": 0.0, "guess.theta": 0.1}
+JUMPS = {
+    "model.theta": 0.4,
+    "model.theta_jump_time[1]": 10.0,
+    "model.theta_jump_value[1]": 0.1,
+    "model.theta_jump_time[2]": 20.0,
+    "model.theta_jump_value[2]": 0.3,
+}
+
+
+def _gong(description: str, fmu: str = "duffing_pseudospectral", *, stop: float = 50.0, step: float = 0.1, **more: Mapping[str, float]) -> Recipe:
+    """An example of Gong, Ross & Kang 2007: the Duffing plant from (2, 1) and an observer that starts at (0, 0, 0.1)."""
+    parameters = {"plant": {"start.x1": 2.0, "start.x2": 1.0, **more.get("plant", {})}, "observer": {**GUESS, **more.get("observer", {})}}
+    return Recipe(description, {"plant": "duffing", "observer": fmu}, parameters, stop, step)
+
+
+SYSTEMS: dict[str, Recipe] = {
+    "gong_example_1": _gong("Example 1: chaotic Duffing system with unknown theta"),
+    "gong_example_1_spline": _gong("Example 1 with the paper's spline cost", "duffing_pseudospectral_spline"),
+    "gong_example_1_input": Recipe(
+        "Example 1 with a known input u = sin t",
+        {"source": "sine", "plant": "duffing", "observer": "duffing_pseudospectral"},
+        {"plant": {"start.x1": 2.0, "start.x2": 1.0}, "observer": GUESS},
+        50.0,
+        0.1,
+        (("source.y", "plant.u"), ("source.y", "observer.u"), ("plant.y", "observer.y")),
+    ),
+    "gong_example_2": _gong(
+        "Example 2: theta jumps at t = 10 and t = 20", stop=30.0, plant=JUMPS, observer={"tuning.residual_limit": 1e-6}
+    ),
+    "gong_example_3a": _gong("Example 3: sampled every 0.01 s, L = 80, N = 15", "duffing_pseudospectral_3a", step=0.01),
+    "gong_example_3b": _gong("Example 3: sampled every 0.5 s, L = 10, N = 50", "duffing_pseudospectral_3b", step=0.5),
+}
+
+
+@dataclass
+class Build:
+    """What to build: FMUs (made by a function, drawn with a plant), then systems."""
+
+    fmus: dict[str, tuple[Callable[[], Component], Callable[[], Component] | None]] = field(default_factory=dict)
+    systems: dict[str, Recipe] = field(default_factory=dict)
+
+
+def choose(only: Sequence[str]) -> Build:
+    """The named FMUs and systems, with the FMUs that the systems need; everything where nothing is named.
+
+    Raises:
+        KeyError: a name is neither an FMU nor a system.
+    """
+    unknown = [name for name in only if name not in FMUS and name not in SYSTEMS]
+    if unknown:
+        raise KeyError(f"'{unknown[0]}' is neither an FMU ({', '.join(FMUS)}) nor a system ({', '.join(SYSTEMS)})")
+    systems = {name: recipe for name, recipe in SYSTEMS.items() if not only or name in only}
+    needed = {fmu for recipe in systems.values() for fmu in recipe.fmus.values()}
+    return Build({name: made for name, made in FMUS.items() if not only or name in only or name in needed}, systems)
+
+
+def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]:
+    """The Components at module level of a Python file, by their names.
+
+    Raises:
+        ValueError: the file is missing, fails, or defines none.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file")
+    try:
+        namespace = runpy.run_path(str(path))
+    except Exception as error:  # a user's file can fail in any way; one line names it
+        raise ValueError(f"{path}: {type(error).__name__}: {error}") from error
+    found = [value for value in namespace.values() if isinstance(value, Component)]
+    if not found:
+        raise ValueError(f"{path} defines no Component at module level")
+    return {component.name: (lambda made=component: made, None) for component in found}
+
+
+def build(work: Build, out: Path, platforms: Sequence[str], progress: Callable[[str, int, int], None] = lambda name, done, total: None) -> list[Path]:
+    """Write the FMUs into `out` and the systems into the folder `systems` beside it; returns the files."""
+    total = len(work.fmus) + len(work.systems)
+    written: list[Path] = []
+    for name, (make, driven_by) in work.fmus.items():
+        progress(name, len(written), total)
+        written.append(export(make(), out, platforms, driven_by() if driven_by else None))
+    directory = out.resolve().parent / "systems"
+    if work.systems:
+        directory.mkdir(parents=True, exist_ok=True)
+    for name, recipe in work.systems.items():
+        progress(name, len(written), total)
+        path = directory / f"{name}.ssp"
+        write_ssp(recipe.system(name, out), path)
+        written.append(path)
+    progress("done", total, total)
+    return written
+
+
+def main(
+    only: Annotated[list[str] | None, typer.Option(help="An FMU or a system of the catalogue; can be given several times.")] = None,
+    platforms: Annotated[str, typer.Option(help="host, all, or a list: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")] = "host",
+    out: Annotated[Path, typer.Option(help="Folder for the FMUs; the systems go into 'systems' beside it.")] = Path("fmus"),
+    file: Annotated[Path | None, typer.Option(help="A Python file: builds the Components that it defines.")] = None,
+) -> None:
+    """Build the catalogue's FMUs and systems, or the FMUs of your own model."""
+    if file is not None and only:
+        _fail("--file and --only exclude each other")
+    try:
+        work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
+        columns = (TextColumn("{task.description:<32}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn())
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task("", total=len(work.fmus) + len(work.systems))
+            written = build(
+                work, out, platforms.split(","), lambda name, done, total: bar.update(task, description=name, completed=done, total=total)
+            )
+    except (ExportError, ValueError, KeyError, OSError) as error:
+        _fail(str(error.args[0]) if isinstance(error, KeyError) else str(error))
+    for path in written:
+        print(f"{path}  {path.stat().st_size / 1024:.0f} KiB")
+
+
+def _fail(message: str) -> NoReturn:
+    Console(stderr=True).print(message, style="red", markup=False, highlight=False, soft_wrap=True)
+    sys.exit(2)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,209 @@
+"""The binaries and the archive: what they hold, export and need; the same component gives the same bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+import fmpy
+import pytest
+from lxml import etree
+from toys import feedthrough_toy, growing_toy, sampled_toy
+
+from fmu_src import PLATFORMS, ExportError, export, native
+from fmu_src.sources import FMI_HEADERS
+from observers.component import Component
+
+ROOT = Path(__file__).parent.parent
+Path_of = Callable[[str], Path]
+
+
+def library(folder: Path) -> Path:
+    return next((folder / "binaries").glob("*/*"))
+
+
+def cosimulation_functions() -> set[str]:
+    """The names in FMI's own header, without those of its section for model exchange."""
+    header = (Path(fmpy.__file__).parent / "c-code" / "fmi2Functions.h").read_text()
+    declarations = header[header.index("Inquire version numbers of header files") :]
+    common, rest = declarations.split("Functions for FMI2 for Model Exchange")
+    cosimulation = rest.split("Functions for FMI2 for Co-Simulation")[1]
+    return set(re.findall(r"FMI2_Export \w+TYPE\s+(\w+);", common + cosimulation))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads ELF files with binutils")
+def test_every_cosimulation_function_is_exported_and_nothing_else(unpacked: Path_of) -> None:
+    wanted = cosimulation_functions()
+    assert len(wanted) == 34
+    for name in ("duffing", "growing_toy"):
+        output = subprocess.run(
+            ["nm", "-D", "--defined-only", library(unpacked(name))], capture_output=True, text=True, check=True
+        ).stdout
+        assert {line.split()[-1] for line in output.splitlines()} == wanted
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads ELF files with binutils")
+def test_only_libc_and_libm_are_needed(unpacked: Path_of) -> None:
+    output = subprocess.run(
+        ["readelf", "-d", library(unpacked("duffing"))], capture_output=True, text=True, check=True
+    ).stdout
+    assert set(re.findall(r"NEEDED.*\[(.*)\]", output)) <= {"libc.so.6", "libm.so.6", "ld-linux-x86-64.so.2"}
+    symbols = subprocess.run(
+        ["nm", "-D", library(unpacked("duffing"))], capture_output=True, text=True, check=True
+    ).stdout
+    versions = {tuple(map(int, v.split("."))) for v in re.findall(r"GLIBC_([\d.]+)", symbols)}
+    assert max(versions) <= (2, 17)
+    assert "ubsan" not in symbols
+
+
+def test_nothing_of_the_machine_that_built_it_is_inside(built: Path_of) -> None:
+    with zipfile.ZipFile(built("duffing")) as archive:
+        content = b"".join(archive.read(name) for name in archive.namelist())
+    for trace in (str(ROOT), str(Path.home()), os.uname().nodename, sys.prefix, "/tmp/"):
+        if len(trace) > 3:
+            assert trace.encode() not in content, trace
+
+
+def test_same_component_same_bytes_from_any_folder(tmp_path: Path) -> None:
+    script = "import sys; sys.path[:0] = {!r}; from toys import sampled_toy; from fmu_src import export; export(sampled_toy(), {!r})"
+    made = []
+    for name, locale in (("one", "C"), ("another folder", "C.UTF-8")):
+        folder = tmp_path / name
+        folder.mkdir()
+        subprocess.run(
+            [sys.executable, "-c", script.format([str(ROOT / "tests"), str(ROOT)], str(folder / "out"))],
+            cwd=folder,
+            env=os.environ | {"LC_ALL": locale, "PYTHONHASHSEED": str(len(name))},
+            check=True,
+        )
+        made.append((folder / "out" / "sampled_toy.fmu").read_bytes())
+    assert made[0] == made[1]
+
+
+def test_a_cold_compiler_cache_gives_the_same_library(
+    tmp_path: Path, unpacked: Path_of, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(native, "cache_folder", lambda: tmp_path / "cache")
+    export(feedthrough_toy(), tmp_path)
+    folder = Path(fmpy.extract(str(tmp_path / "feedthrough_toy.fmu"), str(tmp_path / "unpacked")))
+    assert library(folder).read_bytes() == library(unpacked("feedthrough_toy")).read_bytes()
+
+
+def test_the_archive_holds_what_an_fmu_should(built: Path_of) -> None:
+    with zipfile.ZipFile(built("duffing")) as archive:
+        names = archive.namelist()
+        assert names == sorted(names)
+        assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        assert {"modelDescription.xml", "model.png", "documentation/index.html", "sources/functions.c"} < set(names)
+        assert {f"sources/{name}" for name in FMI_HEADERS} < set(names)
+        assert archive.read("documentation/licenses/observer-fmus.txt") == (ROOT / "LICENSE").read_bytes()
+        assert archive.read("model.png").startswith(b"\x89PNG")
+        page = archive.read("documentation/index.html").decode()
+    assert "<svg" in page and "src=" not in page and "http://www.w3.org" in page
+    assert all(port in page for port in ("model.theta_jump_time[1]", "sensor.noise_bound", "x.theta"))
+
+
+def test_the_page_of_a_driven_component_shows_plant_and_estimate(tmp_path: Path) -> None:
+    toy = sampled_toy()
+    z, u, p, t, h = ca.SX.sym("z", 1), ca.SX(0, 1), ca.SX(0, 1), ca.SX.sym("t"), ca.SX.sym("h")
+    source = Component(
+        name="source",
+        description="A level that rises",
+        start=ca.Function("start", [p, t], [t]),
+        flow=ca.Function("flow", [z, u, p, t, h], [z + h]),
+        output=ca.Function("output", [z, u, p, t], [ca.vertcat(z, z)]),
+        outputs=tuple(dataclasses.replace(toy.outputs[0], name=name) for name in ("y", "x.level")),
+    )
+    with zipfile.ZipFile(export(toy, tmp_path, driven_by=source)) as archive:
+        page = archive.read("documentation/index.html").decode()
+    assert "driven by the plant source" in page
+    assert ">plant<" in page and ">estimate<" in page
+
+
+def test_the_sources_compile_by_themselves_to_the_same_results(built: Path_of, tmp_path: Path) -> None:
+    folder = Path(fmpy.extract(str(built("duffing")), str(tmp_path)))
+    binary = library(folder)
+    description = etree.parse(folder / "modelDescription.xml")
+    files = [element.get("name") for element in description.iter("File")]
+    assert files == sorted(path.name for path in (folder / "sources").glob("*.c"))
+    expected = fmpy.simulate_fmu(str(built("duffing")), stop_time=5.0, output_interval=0.1)
+    command = [
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        "-std=c99",
+        "-O1",
+        "-ffp-contract=off",
+        "-fPIC",
+        "-shared",
+        *files,
+    ]
+    cache = str(native.cache_folder())
+    environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}
+    subprocess.run([*command, "-o", binary, "-lm"], cwd=folder / "sources", env=environment, check=True)
+    assert (fmpy.simulate_fmu(str(folder), stop_time=5.0, output_interval=0.1) == expected).all()
+
+
+def test_c_that_casadi_cannot_write_is_refused_by_name(tmp_path: Path) -> None:
+    toy = feedthrough_toy()
+    z, u, p, t = ca.MX.sym("z", 0), ca.MX.sym("u", 1), ca.MX.sym("p", 2), ca.MX.sym("t")
+    x, a = ca.MX.sym("x"), ca.MX.sym("a")
+    root = ca.rootfinder("root", "newton", ca.Function("residual", [x, a], [x**3 + x - a]))
+    bad = dataclasses.replace(toy, output=ca.Function("output", [z, u, p, t], [ca.vertcat(root(0, u[0]), p[1])]))
+    with pytest.raises(ExportError, match=r"'feedthrough_toy'.*'output'.*[Nn]ewton"):
+        export(bad, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_default_experiment_that_fails_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r"sampled_toy.*default experiment.*h = 0.2.*sample time 0.1"):
+        export(dataclasses.replace(sampled_toy(), step_size=0.2), tmp_path)
+
+
+def test_a_compiler_error_is_an_export_error_with_its_words(tmp_path: Path) -> None:
+    (tmp_path / "broken.c").write_text("int f(void) { return nothing; }\n")
+    with pytest.raises(ExportError, match=r"(?s)'broken'.*linux64.*nothing"):
+        native.compile_library("broken", tmp_path, "linux64")
+
+
+@pytest.mark.parametrize(
+    ("platforms", "words"), [(["beos"], "'beos' is unknown; known: host, all"), ([], "no platform")]
+)
+def test_unknown_platforms_are_named(tmp_path: Path, platforms: list[str], words: str) -> None:
+    with pytest.raises(ExportError, match=words):
+        export(feedthrough_toy(), tmp_path, platforms=platforms)
+
+
+def test_an_interrupted_write_leaves_the_old_fmu_and_no_half_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = export(growing_toy(), tmp_path)
+    before = path.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+    with pytest.raises(OSError, match="no space"):
+        export(growing_toy(), tmp_path)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["growing_toy.fmu"]
+    assert path.read_bytes() == before
+
+
+@pytest.mark.long
+def test_all_platforms_compile_reproducibly(tmp_path: Path) -> None:
+    paths = [export(growing_toy(), tmp_path / name, platforms=("all",)) for name in ("one", "two")]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    with zipfile.ZipFile(paths[0]) as archive:
+        binaries = {name: archive.read(name)[:4] for name in archive.namelist() if name.startswith("binaries/")}
+    assert {name.split("/")[1] for name in binaries} == set(PLATFORMS)
+    starts = {".so": b"\x7fELF", ".dll": b"MZ", ".dylib": b"\xcf\xfa\xed\xfe"}
+    assert all(head.startswith(starts[Path(name).suffix]) for name, head in binaries.items())
