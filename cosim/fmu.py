@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
+import zlib
 from functools import cache
 from pathlib import Path
 
@@ -32,8 +33,8 @@ def read_description(fmu: Path) -> ModelDescription:
     try:
         with zipfile.ZipFile(fmu) as archive:
             tree = etree.fromstring(archive.read("modelDescription.xml"))
-    except zipfile.BadZipFile:
-        raise SystemFileError(f"{fmu}: not an FMU (not a zip file)") from None
+    except (zipfile.BadZipFile, zlib.error):
+        raise SystemFileError(f"{fmu}: not an FMU (not a sound zip file)") from None
     except KeyError:
         raise SystemFileError(f"{fmu}: not an FMU (there is no modelDescription.xml in it)") from None
     except etree.XMLSyntaxError as error:
@@ -48,6 +49,19 @@ def read_description(fmu: Path) -> ModelDescription:
         problem = schema.error_log[0]
         raise SystemFileError(f"{fmu}: modelDescription.xml, line {problem.line}: {problem.message}")
     return read_model_description(str(fmu), validate=False)
+
+
+def unpack(fmu: Path, directory: Path) -> None:
+    """Extract the FMU into `directory`; names that would lead out of it are cut to stay inside.
+
+    Raises:
+        SystemFileError: a damaged file.
+    """
+    try:
+        with zipfile.ZipFile(fmu) as archive:
+            archive.extractall(directory)
+    except (zipfile.BadZipFile, zlib.error) as error:
+        raise SystemFileError(f"{fmu}: the file is damaged ({error})") from None
 
 
 @cache

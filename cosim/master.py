@@ -13,11 +13,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter_ns
 
-import fmpy
 from fmpy.fmi2 import fmi2Warning
 
 from cosim.errors import ExperimentError
-from cosim.fmu import Value, typed_value
+from cosim.fmu import Value, typed_value, unpack
 from cosim.record import Access, Record
 from cosim.results import Result
 from cosim.schedule import output_levels
@@ -113,7 +112,7 @@ def _instantiate(resolved: ResolvedSystem, directory: Path, record: Record, stac
     for name, element in resolved.system.elements.items():
         if element.fmu not in unpacked:
             target = directory / f"fmu-{len(unpacked)}"
-            fmpy.extract(str(element.fmu), str(target))
+            unpack(element.fmu, target)
             unpacked[element.fmu] = target
         slaves[name] = Slave(
             name, resolved.descriptions[name], unpacked[element.fmu], record.messages, resolved.system.start

@@ -35,8 +35,8 @@ _PREFIXES = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "osp": OSP}  # literal: several
 def write_ssp(system: System, path: Path) -> None:
     """Write `system` to `path`: the same system and FMUs give the same bytes.
 
-    Every input and output of every element becomes a connector, and so does every parameter that has a value. An FMU
-    that several elements use is stored once.
+    Inputs and outputs of the elements become connectors (enumerations only if connected), and so do the parameters that
+    have a value. An FMU that several elements use is stored once.
 
     Raises:
         SystemFileError: the system contradicts its FMUs (see `cosim.system.resolve`), or two FMUs share a file name.
@@ -115,13 +115,19 @@ def _literal(value: Value) -> str:
 
 
 def _connectors(resolved: ResolvedSystem, name: str) -> list[tuple[str, ModelVariable]]:
-    """Kind and variable of each connector of element `name`: inputs, outputs and the parameters that have a value."""
-    set_here = resolved.parameters[name]
-    kinds = {"input": "input", "output": "output", "parameter": "parameter"}
+    """Kind and variable of each connector of element `name`.
+
+    An enumeration is declared only where the standard demands it (it is connected or has a value): libcosim ends the
+    process at the sight of one.
+    """
+    used = set(resolved.parameters[name])
+    for c in resolved.connections:
+        used |= {variable.name for element, variable in ((c.source, c.output), (c.target, c.input)) if element == name}
     return [
-        (kinds[v.causality], v)
+        (v.causality, v)
         for v in resolved.descriptions[name].modelVariables
-        if v.causality in ("input", "output") or (v.causality == "parameter" and v.name in set_here)
+        if v.causality in ("input", "output", "parameter")
+        and (v.name in used or (v.causality != "parameter" and v.type != "Enumeration"))
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import posixpath
 import zipfile
+import zlib
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -33,7 +34,7 @@ def read_ssp(path: Path, directory: Path) -> System:
     try:
         with zipfile.ZipFile(path) as archive:
             return _read(archive, path, directory)
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, zlib.error) as error:
         raise SystemFileError(f"{path}: not an SSP file (not a sound zip file: {error})") from None
 
 

@@ -13,7 +13,7 @@ _UNIX = 3
 
 
 def write_zip(path: Path, contents: Mapping[str, bytes]) -> None:
-    """Write `contents` (by path in the archive, sorted here) to `path`: to a temporary name first, so that there never is half a file.
+    """Write `contents` (by path in the archive, sorted here) to `path`: first under another name, never half a file.
 
     Entries are stored, not compressed: what zlib makes of the same bytes differs between its versions and forks.
     """

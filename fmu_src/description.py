@@ -7,10 +7,10 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import casadi as ca
 from lxml import etree
 
 from fmu_src import units
+from fmu_src.dependencies import dependencies
 from fmu_src.errors import ExportError
 from fmu_src.sources import bounds
 from observers.component import Component, Enumeration, Port
@@ -135,14 +135,16 @@ def _check(component: Component, variables: list[Entry]) -> None:
             port.enumeration is not None
         ):
             raise ExportError(
-                f"{where}: '{port.name}' is of kind '{port.kind}'; known: Real, Integer, Enumeration (with its enumeration)"
+                f"{where}: '{port.name}' is of kind '{port.kind}'; known: Real, Integer, "
+                "Enumeration (with its enumeration)"
             )
         if entry.group == "input" and port.kind != "Real":
             raise ExportError(f"{where}: the input '{port.name}' is of kind '{port.kind}', inputs must be Real")
         if entry.group != "constant" and port.variability not in _VARIABILITIES[entry.group]:
             allowed = " or ".join(_VARIABILITIES[entry.group])
             raise ExportError(
-                f"{where}: the {entry.group} '{port.name}' has the variability '{port.variability}', it must be {allowed}"
+                f"{where}: the {entry.group} '{port.name}' has the variability '{port.variability}', "
+                f"it must be {allowed}"
             )
         if port.kind != "Real" and port.variability == "continuous":
             raise ExportError(f"{where}: '{port.name}' is of kind '{port.kind}' and hence cannot be continuous")
@@ -253,47 +255,30 @@ def _scalar_variable(parent: etree._Element, reference: int, entry: Entry) -> No
 
 
 def _model_structure(root: etree._Element, component: Component, variables: list[Entry]) -> None:
-    """Dependencies from the sparsity of `output`: on inputs at a communication point, and on all start values in initialization mode."""
     structure = etree.SubElement(root, "ModelStructure")
-    outputs = [
-        (row, index)
-        for row, index in enumerate(_indices(variables, "output"))
-        if variables[index].causality == "output"
-    ]
+    outputs = [(row, k) for row, k in enumerate(_indices(variables, "output")) if variables[k].causality == "output"]
     if not outputs:
         return
     inputs, parameters = _indices(variables, "input"), _indices(variables, "parameter")
-    feedthrough = _dependencies(component.output, 1)
-    p, u, t = ca.MX.sym("p", len(parameters)), ca.MX.sym("u", len(inputs)), ca.MX.sym("t")
-    initial = ca.Function("initial", [p, u, t], [component.output(component.start(p, t), u, p, t)])
-    on_parameters, on_inputs = _dependencies(initial, 0), _dependencies(initial, 1)
+    found = dependencies(component)
     element = etree.SubElement(structure, "Outputs")
     for row, index in outputs:
-        _unknown(element, index, [inputs[k] for k in feedthrough[row]])
+        _unknown(element, index, [inputs[k] for k in found.on_inputs[row]])
     element = etree.SubElement(structure, "InitialUnknowns")
     for row, index in outputs:
-        _unknown(element, index, [inputs[k] for k in on_inputs[row]] + [parameters[k] for k in on_parameters[row]])
+        known = [inputs[k] for k in found.initially_on_inputs[row]]
+        _unknown(element, index, known + [parameters[k] for k in found.initially_on_parameters[row]])
 
 
 def _indices(variables: list[Entry], group: str) -> list[int]:
     return [index for index, entry in enumerate(variables) if entry.group == group]
 
 
-def _dependencies(function: ca.Function, argument: int) -> list[list[int]]:
-    """For each row of the result: the rows of the argument it depends on."""
-    found: list[list[int]] = [[] for _ in range(function.numel_out(0))]
-    if function.numel_in(argument) > 0 and function.numel_out(0) > 0:
-        rows, columns = function.jac_sparsity(0, argument).get_triplet()
-        for row, column in zip(rows, columns, strict=True):
-            found[row].append(column)
-    return [sorted(columns) for columns in found]
-
-
-def _unknown(parent: etree._Element, index: int, dependencies: list[int]) -> None:
-    """Indices count from 1."""
-    known = " ".join(str(k + 1) for k in dependencies)
-    kinds = " ".join(["dependent"] * len(dependencies))
-    etree.SubElement(parent, "Unknown", index=str(index + 1), dependencies=known, dependenciesKind=kinds)
+def _unknown(parent: etree._Element, index: int, known: list[int]) -> None:
+    """An output and the variables it depends on; FMI counts them from 1."""
+    numbers = " ".join(str(k + 1) for k in known)
+    kinds = " ".join(["dependent"] * len(known))
+    etree.SubElement(parent, "Unknown", index=str(index + 1), dependencies=numbers, dependenciesKind=kinds)
 
 
 def _real(value: float) -> str:

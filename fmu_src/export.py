@@ -29,7 +29,7 @@ def export(
 
     Args:
         platforms: names of PLATFORMS, "host" for this machine's, "all" for each of them.
-        driven_by: a plant; the documentation's plot then shows the component coupled to it, outputs to inputs of equal names.
+        driven_by: a plant; the documentation's plot then shows the two coupled, outputs to inputs of equal names.
 
     Raises:
         ExportError: the component cannot be exported; the message says what is in the way.

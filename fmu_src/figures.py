@@ -31,9 +31,9 @@ class Panel:
 
 
 def default_experiment(component: Component, driven_by: Component | None) -> tuple[np.ndarray, list[Panel]]:
-    """Times (n) [s] and what is worth a look: each `estimate.*` with the plant's `x.*` of the same name, or else the component's continuous outputs.
+    """Times (n) [s] and what is worth a look: each `estimate.*` with the plant's `x.*`, or else the continuous outputs.
 
-    Both run as Python instances from time 0, at most MOST_STEPS steps, in the order: get all outputs, set all inputs, step all.
+    Both run as Python instances from time 0, at most MOST_STEPS steps: get all outputs, set all inputs, step all.
 
     Raises:
         ExportError: a step of the default experiment fails.
@@ -47,7 +47,8 @@ def default_experiment(component: Component, driven_by: Component | None) -> tup
     try:
         for k in range(steps + 1):
             values = [
-                dict(zip(h_, instance.outputs(), strict=True)) for h_, instance in zip(history, instances, strict=True)
+                dict(zip(record, instance.outputs(), strict=True))
+                for record, instance in zip(history, instances, strict=True)
             ]
             for record, now in zip(history, values, strict=True):
                 for name, value in now.items():
@@ -97,8 +98,8 @@ def plot(times: np.ndarray, panels: list[Panel]) -> str:
                 axes.plot(times, values, line, linewidth=1.2, label=legend)
             axes.set_ylabel(panel.label)
             axes.grid(alpha=0.3)
-            if len(panel.curves) > 1:
-                axes.legend(loc="upper right", frameon=False)
+            if panel is panels[0] and len(panel.curves) > 1:
+                axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
         axes.set_xlabel("time [s]")
         buffer = io.StringIO()
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})

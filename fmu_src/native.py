@@ -27,7 +27,7 @@ LINK = ("-shared", "-g0", "-s")
 
 
 def cache_folder() -> Path:
-    """Where zig keeps what it compiled: the project's `.cache/zig`, or the user's cache where there is no project folder."""
+    """Where zig keeps what it compiled: the project's `.cache/zig`, or the user's cache where there is no project."""
     project = Path(__file__).resolve().parent.parent
     if (project / "pyproject.toml").is_file():
         return project / ".cache" / "zig"

@@ -49,7 +49,7 @@ def resolve(names: Iterable[str]) -> list[str]:
             machine = (platform.system(), platform.machine())
             if machine not in _HOSTS:
                 raise ExportError(
-                    f"this machine ({' '.join(machine)}) is none of the platforms {', '.join(PLATFORMS)}: name one of them"
+                    f"this machine ({' '.join(machine)}) is none of the platforms; name one of {', '.join(PLATFORMS)}"
                 )
             wanted.add(_HOSTS[machine])
         elif name in PLATFORMS:

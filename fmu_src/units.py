@@ -1,6 +1,7 @@
-"""Unit expressions ("m/s2", "1/(V2.s2)", "kN.m") as SI base units: exponents, factor and offset, as FMI's unit definitions want them.
+"""Unit expressions ("m/s2", "1/(V2.s2)", "kN.m") in SI base units: exponents, factor, offset, as FMI defines units.
 
-The grammar is FMI's, hence Modelica's: factors separated by dots, one solidus at most, an integer exponent straight after the symbol.
+The grammar is FMI's, hence Modelica's: factors separated by dots, one solidus at most, an integer exponent straight
+after the symbol.
 """
 
 from __future__ import annotations

@@ -22,7 +22,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from observers import layout as lay
 from observers.component import Component, Enumeration, Port
@@ -32,6 +31,7 @@ from observers.numerics.collocation import Window, window
 from observers.numerics.pointwise import Pointwise, pointwise
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 from observers.numerics.semilinear import split, unreachable
+from observers.numerics.spline import spline_matrix
 
 MOST_ITERATIONS = 40
 HUGE = 1e150  # |measurement| beyond: not finite; its square still is a number
@@ -231,7 +231,7 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
 
     # Step 3: Problem 2.
     if cost == "spline":
-        spline = CubicSpline(np.arange(L + 1) * w.sample_time, np.eye(L + 1), bc_type="not-a-knot")(w.node_times)
+        spline = spline_matrix(L, w.node_times / w.sample_time)
         filled = ca.if_else(W, Y, _outputs_at_samples(model, w)(V, x0, s.theta, q.model, U, start_time))
         compared = ca.MX(ca.DM(np.kron(spline, np.eye(ny)))) @ filled
         point_weight = ca.MX(ca.DM(np.repeat(lgl.weights(w.order) * w.length / 2, ny)))

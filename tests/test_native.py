@@ -72,7 +72,8 @@ def test_nothing_of_the_machine_that_built_it_is_inside(built: Path_of) -> None:
 
 
 def test_same_component_same_bytes_from_any_folder(tmp_path: Path) -> None:
-    script = "import sys; sys.path[:0] = {!r}; from toys import sampled_toy; from fmu_src import export; export(sampled_toy(), {!r})"
+    script = "import sys; sys.path[:0] = {!r}; from toys import sampled_toy; from fmu_src import export; "
+    script += "export(sampled_toy(), {!r})"
     made = []
     for name, locale in (("one", "C"), ("another folder", "C.UTF-8")):
         folder = tmp_path / name

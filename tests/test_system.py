@@ -13,7 +13,7 @@ from fmpy.ssp.ssd import read_ssd
 from lxml import etree
 
 from cosim.errors import ExperimentError, SystemFileError
-from cosim.ssp import STRUCTURE, write_ssp
+from cosim.ssp import SSV, STRUCTURE, write_ssp
 from cosim.ssp_reader import read_ssp
 from cosim.system import Element, System, resolve
 
@@ -108,11 +108,16 @@ def test_connectors_carry_types_units_and_enumerations(file: Path) -> None:
 
     assert declared("y") == ("Real", {"unit": "m"})
     assert declared("diagnostics.rejected_samples") == ("Integer", {})
-    assert declared("diagnostics.status") == ("Enumeration", {"name": "ToyStatus"})
-    items = root.xpath("//ssc:Enumeration[@name='ToyStatus']/ssc:Item/@name", namespaces=root.nsmap)
-    assert items == ["Good", "Rejected"]
+    assert declared("tuning.mode") == ("Enumeration", {"name": "ToyMode"})
+    items = root.xpath("//ssc:Enumeration[@name='ToyMode']/ssc:Item/@name", namespaces=root.nsmap)
+    assert items == ["Average", "Replace"]
     unit = root.xpath("//ssc:Unit[@name='m/s2']/ssc:BaseUnit", namespaces=root.nsmap)[0]
     assert (unit.get("m"), unit.get("s")) == ("1", "-2")
+
+
+def test_an_enumeration_that_nothing_uses_is_not_declared_since_libcosim_aborts_at_it(file: Path) -> None:
+    with zipfile.ZipFile(file) as archive:
+        assert "diagnostics.status" not in archive.read(STRUCTURE).decode()
 
 
 def test_without_a_step_in_the_file_the_smallest_of_the_fmus_counts(file: Path, system: System, tmp_path: Path) -> None:
@@ -125,7 +130,7 @@ def test_without_a_step_in_the_file_the_smallest_of_the_fmus_counts(file: Path, 
 
 def test_parameters_may_come_from_ssv_files_and_the_systems_win(file: Path, tmp_path: Path) -> None:
     ssv = (
-        '<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues" version="1.0" name="p">'
+        f'<ssv:ParameterSet xmlns:ssv="{SSV}" version="1.0" name="p">'
         "<ssv:Parameters>{}</ssv:Parameters></ssv:ParameterSet>"
     )
     own = '<ssv:Parameter name="x1"><ssv:Real value="0.5"/></ssv:Parameter>'
@@ -257,7 +262,7 @@ def test_files_that_are_no_co_simulation_fmus_are_refused(built: Build, tmp_path
     with zipfile.ZipFile(built("duffing")) as archive:
         description = archive.read("modelDescription.xml").decode()
     start, end = description.index("<CoSimulation"), description.index("<LogCategories")
-    refused("no zip", r"not an FMU \(not a zip file\)")
+    refused("no zip", r"not an FMU \(not a sound zip file\)")
     refused({"a.txt": ""}, r"not an FMU \(there is no modelDescription\.xml in it\)")
     refused({"modelDescription.xml": "<fmi"}, r"modelDescription\.xml, line 1")
     refused({"modelDescription.xml": '<fmiModelDescription fmiVersion="3.0"/>'}, r"is an FMU of FMI version 3\.0")

@@ -85,7 +85,7 @@ def feedthrough_toy() -> Component:
 
 
 def growing_toy() -> Component:
-    """z' = z^2 by Euler steps leaves the doubles soon, which the shell must not let pass. Of MX, with a linear solve."""
+    """z' = z^2 by Euler steps: leaves the doubles soon, which must not pass. Of MX, with a linear solve inside."""
     z, u, p, t, h = ca.MX.sym("z", 2), ca.MX.sym("u", 0), ca.MX.sym("p", 1), ca.MX.sym("t"), ca.MX.sym("h")
     matrix = ca.vertcat(ca.horzcat(2, 1), ca.horzcat(1, 3))
     return Component(

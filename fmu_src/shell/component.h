@@ -1,10 +1,11 @@
-/* What the shell knows of the component: tables and functions that are generated for each FMU (component.c, functions.c). */
+/* What the shell knows of the component: tables and functions, generated for each FMU (component.c, functions.c). */
 #ifndef COMPONENT_H
 #define COMPONENT_H
 
 #include <stddef.h>
 
-/* A function that CasADi wrote: columns of doubles in, columns of doubles out, never in place. Non-zero: it could not be evaluated. */
+/* A function that CasADi wrote: columns of doubles in, columns of doubles out, never in place. Non-zero: it could not
+   be evaluated. */
 typedef int Function(const double **arguments, double **results, int *iw, double *w, int memory);
 
 typedef enum { INPUT, FIXED_PARAMETER, TUNABLE_PARAMETER, OUTPUT, CONSTANT } Role;
@@ -23,18 +24,18 @@ typedef struct {
     const Variable *variables; /* by value reference: inputs, parameters, outputs, constants */
     size_t n_inputs, n_parameters, n_outputs, n_constants;
     size_t n_states;
-    double sample_time;           /* [s], 0: no sample instants */
-    int sample_time_parameter;    /* the fixed parameter that holds it instead, or -1 */
-    int samples_inputs;           /* a step longer than the sample time would lose samples */
-    double max_step;              /* the longest h that flow is called with [s] */
-    const size_t *breaks;         /* parameters that hold times at which flow is cut */
+    double sample_time;        /* [s], 0: no sample instants */
+    int sample_time_parameter; /* the fixed parameter that holds it instead, or -1 */
+    int samples_inputs;        /* a step longer than the sample time would lose samples */
+    double max_step;           /* the longest h that flow is called with [s] */
+    const size_t *breaks;      /* parameters that hold times at which flow is cut */
     size_t n_breaks;
-    const size_t *counters;       /* outputs that count troubles */
+    const size_t *counters; /* outputs that count troubles */
     size_t n_counters;
-    Function *start;              /* (p, t0) -> z */
-    Function *flow;               /* (z, u, p, t, h) -> z */
-    Function *jump;               /* (z, u, p, t) -> z, or NULL */
-    Function *output;             /* (z, u, p, t) -> y */
+    Function *start;                    /* (p, t0) -> z */
+    Function *flow;                     /* (z, u, p, t, h) -> z */
+    Function *jump;                     /* (z, u, p, t) -> z, or NULL */
+    Function *output;                   /* (z, u, p, t) -> y */
     size_t sz_arg, sz_res, sz_iw, sz_w; /* the work space that the largest of them needs */
 } Component;
 

@@ -1,25 +1,28 @@
-/* Derivatives: of inputs, honoured to first order within the next step; of outputs and directional ones, not offered. */
+/* Derivatives: of inputs, honoured to first order within the next step; of outputs and directional, not offered. */
 #include "instance.h"
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
-                                       const fmi2Real value[])
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                       const fmi2Integer order[], const fmi2Real value[])
 {
     Instance *self = c;
     if (!allowed(self, "fmi2SetRealInputDerivatives", INSTANTIATED | INITIALIZATION | STEP_COMPLETE))
         return fmi2Error;
     if (nvr > 0 && !(vr && order && value)) {
-        report(self, fmi2Error, LOG_ERROR, "fmi2SetRealInputDerivatives: %lu variables announced, but a list is a null pointer.",
+        report(self, fmi2Error, LOG_ERROR,
+               "fmi2SetRealInputDerivatives: %lu variables announced, but a list is a null pointer.",
                (unsigned long)nvr);
         return fmi2Error;
     }
     for (size_t i = 0; i < nvr; i++) {
         if (vr[i] >= component.n_inputs) { /* inputs have the first value references, and all are Real */
-            report(self, fmi2Error, LOG_ERROR, "fmi2SetRealInputDerivatives: the value reference %u is no input's.", vr[i]);
+            report(self, fmi2Error, LOG_ERROR, "fmi2SetRealInputDerivatives: the value reference %u is no input's.",
+                   vr[i]);
             return fmi2Error;
         }
         if (order[i] != 1) {
-            report(self, fmi2Error, LOG_ERROR, "fmi2SetRealInputDerivatives: derivative of order %d of %s; only order 1 is supported.",
-                   order[i], component.variables[vr[i]].name);
+            report(self, fmi2Error, LOG_ERROR,
+                   "fmi2SetRealInputDerivatives: derivative of order %d of %s; only order 1 is supported.", order[i],
+                   component.variables[vr[i]].name);
             return fmi2Error;
         }
     }
@@ -37,8 +40,8 @@ static fmi2Status not_supported(Instance *self, const char *function, const char
     return fmi2Error;
 }
 
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
-                                        fmi2Real value[])
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                        const fmi2Integer order[], fmi2Real value[])
 {
     (void)vr, (void)nvr, (void)order, (void)value;
     return not_supported(c, "fmi2GetRealOutputDerivatives", "maxOutputDerivativeOrder=0");

@@ -27,7 +27,8 @@ bool all_finite(const double *values, size_t n)
     return !bad;
 }
 
-/* The clock and z = start(p, t0), unless they already follow from the parameters. False, with z as it was and a message, where start fails. */
+/* The clock and z = start(p, t0), unless they already follow from the parameters. False, with z as it was and a
+   message, where start fails. */
 bool refresh_start(Instance *self)
 {
     Run *run = &self->run;
@@ -36,8 +37,10 @@ bool refresh_start(Instance *self)
     self->arg[0] = self->p;
     self->arg[1] = &run->t0;
     self->res[0] = self->scratch[0];
-    if (component.start(self->arg, self->res, self->iw, self->w, 0) != 0 || !all_finite(self->scratch[0], component.n_states)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g.", component.name, run->t0);
+    if (component.start(self->arg, self->res, self->iw, self->w, 0) != 0 ||
+        !all_finite(self->scratch[0], component.n_states)) {
+        report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g.", component.name,
+               run->t0);
         return false;
     }
     double *z = self->z;
@@ -45,7 +48,8 @@ bool refresh_start(Instance *self)
     self->scratch[0] = z;
     run->time = run->t0;
     run->ticks = 0;
-    run->sample_time = component.sample_time_parameter >= 0 ? self->p[component.sample_time_parameter] : component.sample_time;
+    run->sample_time =
+        component.sample_time_parameter >= 0 ? self->p[component.sample_time_parameter] : component.sample_time;
     run->tolerance = fmax(SNAP * run->sample_time, 1 / NANOSECONDS);
     for (size_t i = 0; i < component.n_breaks; i++) { /* insertion sort: a handful of times, once */
         double instant = self->p[component.breaks[i]];
@@ -69,7 +73,8 @@ bool evaluate_outputs(Instance *self, const double *z, double time)
     self->res[0] = self->y;
     self->stale_outputs = true; /* y is half written until it is not */
     if (component.output(self->arg, self->res, self->iw, self->w, 0) != 0) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the outputs could not be evaluated at t = %.15g.", component.name, time);
+        report(self, fmi2Error, LOG_ERROR, "%s: the outputs could not be evaluated at t = %.15g.", component.name,
+               time);
         return false;
     }
     self->stale_outputs = false;

@@ -1,7 +1,8 @@
 /* One instance of the FMU: everything it owns, and what the shell's files offer each other.
 
-   After a call that returns fmi2Error the instance is where it was before the call: the standard would let it enter a state "error" that
-   only fmi2Reset leaves, but here nothing has changed, so the importer may correct the call and go on. */
+   After a call that returns fmi2Error the instance is where it was before the call: the standard would let it enter a
+   state "error" that only fmi2Reset leaves, but here nothing has changed, so the importer may correct the call and go
+   on. */
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
@@ -23,10 +24,10 @@ typedef enum { LOG_ERROR = 1, LOG_WARNING = 2, LOG_DISCARD = 4, LOG_EVENTS = 8 }
 /* Where the run is. Eight bytes each, so that a serialised state has no padding. */
 typedef struct {
     int64_t lifecycle;
-    int64_t is_set_up;         /* fmi2SetupExperiment was called */
+    int64_t is_set_up; /* fmi2SetupExperiment was called */
     int64_t stop_time_defined;
-    int64_t ticks;             /* sample instants so far: the next is t0 + ticks * sample_time */
-    int64_t extrapolates;      /* input derivatives are set for the next step */
+    int64_t ticks;        /* sample instants so far: the next is t0 + ticks * sample_time */
+    int64_t extrapolates; /* input derivatives are set for the next step */
     double t0, stop_time, time;
     double sample_time, tolerance;
 } Run;
@@ -36,16 +37,16 @@ typedef struct {
     char *name;
     unsigned log_categories;
     Run run;
-    bool stale_start;    /* z does not yet follow from the parameters (before and in initialization mode) */
-    bool stale_outputs;  /* y does not yet follow from z, u, p and time */
-    double *values;      /* by value reference: u, p, y, constants */
-    double *u, *p, *y;   /* in `values` */
-    double *du;          /* input derivatives */
-    double *u_now;       /* inputs extrapolated to a time within the step */
-    double *z;           /* the state at run.time */
-    double *scratch[2];  /* doStep works here and swaps at its end */
-    double *breaks;      /* ascending */
-    double *counts;      /* counters after the last step */
+    bool stale_start;   /* z does not yet follow from the parameters (before and in initialization mode) */
+    bool stale_outputs; /* y does not yet follow from z, u, p and time */
+    double *values;     /* by value reference: u, p, y, constants */
+    double *u, *p, *y;  /* in `values` */
+    double *du;         /* input derivatives */
+    double *u_now;      /* inputs extrapolated to a time within the step */
+    double *z;          /* the state at run.time */
+    double *scratch[2]; /* doStep works here and swaps at its end */
+    double *breaks;     /* ascending */
+    double *counts;     /* counters after the last step */
     const double **arg;
     double **res;
     double *w;

@@ -1,4 +1,5 @@
-/* From fmi2Instantiate to fmi2FreeInstance. All memory of an instance is one block, taken here through the importer's callbacks. */
+/* From fmi2Instantiate to fmi2FreeInstance. All memory of an instance is one block, taken here through the importer's
+   callbacks. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,7 +16,7 @@ const char *fmi2GetVersion(void)
     return fmi2Version;
 }
 
-/* Carve `bytes` out of the block at `*next`; with a null block only count. Everything is aligned for doubles and pointers. */
+/* Carve `bytes` out of the block after the first `*used`; with a null block only count. Aligned for any type. */
 static void *carve(char *block, size_t *used, size_t bytes)
 {
     void *here = block ? block + *used : NULL;
@@ -46,14 +47,16 @@ static size_t lay_out(char *block, Instance *self, size_t name_bytes)
     return used;
 }
 
-fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID, fmi2String fmuResourceLocation,
-                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+                              fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
+                              fmi2Boolean visible, fmi2Boolean loggingOn)
 {
     (void)fmuResourceLocation;
     (void)visible;
     if (!functions)
         return NULL; /* and nobody to tell */
-    /* A stand-in that can report: what goes wrong here is logged whether logging is on or not, nobody gets an instance to turn it on. */
+    /* A stand-in that can report: what goes wrong here is logged whether logging is on or not, nobody gets an instance
+       to turn it on. */
     Instance draft;
     memset(&draft, 0, sizeof draft);
     draft.callbacks = *functions;
@@ -64,8 +67,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         return NULL;
     }
     if (fmuType != fmi2CoSimulation) {
-        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: fmuType = %d, but this is a co-simulation FMU (%d).", (int)fmuType,
-               (int)fmi2CoSimulation);
+        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: fmuType = %d, but this is a co-simulation FMU (%d).",
+               (int)fmuType, (int)fmi2CoSimulation);
         return NULL;
     }
     if (!fmuGUID || strcmp(fmuGUID, component.guid) != 0) {
@@ -78,7 +81,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         draft.callbacks.allocateMemory = calloc;
         draft.callbacks.freeMemory = free;
     } else if (!functions->allocateMemory || !functions->freeMemory) {
-        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: of allocateMemory and freeMemory one is a null pointer.");
+        report(&draft, fmi2Error, LOG_ERROR,
+               "fmi2Instantiate: of allocateMemory and freeMemory one is a null pointer.");
         return NULL;
     }
     size_t name_bytes = strlen(instanceName) + 1;
@@ -86,7 +90,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     size_t bytes = lay_out(NULL, &layout, name_bytes);
     char *block = draft.callbacks.allocateMemory(1, bytes);
     if (!block) {
-        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: allocateMemory refused %lu bytes.", (unsigned long)bytes);
+        report(&draft, fmi2Error, LOG_ERROR, "fmi2Instantiate: allocateMemory refused %lu bytes.",
+               (unsigned long)bytes);
         return NULL;
     }
     memset(block, 0, bytes);
@@ -113,7 +118,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
                                fmi2Boolean stopTimeDefined, fmi2Real stopTime)
 {
     Instance *self = c;
-    (void)toleranceDefined; /* the accuracy is fixed by the component's max_step, no step is controlled by an error estimate */
+    (void)toleranceDefined; /* the component's max_step fixes the accuracy, no error estimate controls a step */
     (void)tolerance;
     if (!allowed(self, "fmi2SetupExperiment", INSTANTIATED))
         return fmi2Error;
@@ -122,7 +127,8 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
         return fmi2Error;
     }
     if (stopTimeDefined && !(stopTime >= startTime)) {
-        report(self, fmi2Error, LOG_ERROR, "fmi2SetupExperiment: the stop time %.15g lies before the start time %.15g.", stopTime, startTime);
+        report(self, fmi2Error, LOG_ERROR, "fmi2SetupExperiment: the stop time %.15g lies before the start time %.15g.",
+               stopTime, startTime);
         return fmi2Error;
     }
     self->run.t0 = self->run.time = startTime;
@@ -157,7 +163,8 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     for (size_t i = 0; i < component.n_counters; i++)
         self->counts[i] = self->y[component.counters[i]];
     self->run.lifecycle = STEP_COMPLETE;
-    report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name, self->run.t0, self->run.sample_time);
+    report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name, self->run.t0,
+           self->run.sample_time);
     return fmi2OK;
 }
 

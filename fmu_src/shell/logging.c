@@ -9,8 +9,11 @@ static const struct {
     const char *name;
     unsigned categories;
 } CATEGORIES[] = {
-    {"logStatusError", LOG_ERROR}, {"logStatusWarning", LOG_WARNING}, {"logStatusDiscard", LOG_DISCARD},
-    {"logEvents", LOG_EVENTS},     {"logAll", LOG_ALL},
+    {"logStatusError", LOG_ERROR},
+    {"logStatusWarning", LOG_WARNING},
+    {"logStatusDiscard", LOG_DISCARD},
+    {"logEvents", LOG_EVENTS},
+    {"logAll", LOG_ALL},
 };
 #define N_CATEGORIES (sizeof CATEGORIES / sizeof CATEGORIES[0])
 
@@ -23,7 +26,8 @@ void report(Instance *self, fmi2Status status, Category category, const char *fo
     va_start(arguments, format);
     vsnprintf(message, sizeof message, format, arguments);
     va_end(arguments);
-    /* The importer takes the text for a format in which '%' and '#' are special: text that it handed in itself must not become one. */
+    /* The importer takes the text for a format in which '%' and '#' are special: text that it handed in itself must not
+       become one. */
     for (char *c = message; *c; c++)
         if (*c == '%' || *c == '#')
             *c = '?';
@@ -47,13 +51,15 @@ bool allowed(Instance *self, const char *function, unsigned lifecycles)
     return false;
 }
 
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories, const fmi2String categories[])
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+                               const fmi2String categories[])
 {
     Instance *self = c;
     if (!allowed(self, "fmi2SetDebugLogging", ANY_STATE))
         return fmi2Error;
     if (nCategories > 0 && !categories) {
-        report(self, fmi2Error, LOG_ERROR, "fmi2SetDebugLogging: %lu categories announced, but the list is a null pointer.",
+        report(self, fmi2Error, LOG_ERROR,
+               "fmi2SetDebugLogging: %lu categories announced, but the list is a null pointer.",
                (unsigned long)nCategories);
         return fmi2Error;
     }
@@ -64,7 +70,8 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nC
             i++;
         if (i == N_CATEGORIES) {
             report(self, fmi2Error, LOG_ERROR,
-                   "fmi2SetDebugLogging: there is no log category '%s'; known: logStatusError, logStatusWarning, logStatusDiscard, logEvents, logAll.",
+                   "fmi2SetDebugLogging: there is no log category '%s'; known: logStatusError, logStatusWarning, "
+                   "logStatusDiscard, logEvents, logAll.",
                    categories[k] ? categories[k] : "(null)");
             return fmi2Error;
         }

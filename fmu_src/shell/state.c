@@ -1,7 +1,8 @@
 /* The whole state of an instance as one block of bytes: taken, put back, and serialised for another process.
 
-   Header, then doubles. Everything is eight bytes wide, and a serialised state says to which FMU it belongs, how long it is and what it must
-   add up to; so it can be resumed bit for bit wherever the same FMU runs, and nothing else is taken for one. */
+   Header, then doubles. Everything is eight bytes wide, and a serialised state says to which FMU it belongs, how long
+   it is and what it must add up to; so it can be resumed bit for bit wherever the same FMU runs, and nothing else is
+   taken for one. */
 #include <string.h>
 
 #include "instance.h"
@@ -31,8 +32,8 @@ static void list_sections(const Instance *self, Section sections[N_SECTIONS])
 
 static size_t state_bytes(void)
 {
-    return sizeof(Header) + sizeof(double) * (component.n_states + 2 * component.n_inputs + component.n_parameters + component.n_breaks +
-                                              component.n_counters);
+    return sizeof(Header) + sizeof(double) * (component.n_states + 2 * component.n_inputs + component.n_parameters +
+                                              component.n_breaks + component.n_counters);
 }
 
 /* FNV-1a, 64 bits. */
@@ -60,7 +61,8 @@ static void *provide(Instance *self, const char *function, fmi2FMUstate *state)
     if (!*state) {
         *state = self->callbacks.allocateMemory(1, state_bytes());
         if (!*state)
-            report(self, fmi2Error, LOG_ERROR, "%s: allocateMemory refused %lu bytes.", function, (unsigned long)state_bytes());
+            report(self, fmi2Error, LOG_ERROR, "%s: allocateMemory refused %lu bytes.", function,
+                   (unsigned long)state_bytes());
     }
     return *state;
 }
@@ -94,8 +96,10 @@ static bool is_ours(Instance *self, const char *function, const void *block)
     }
     Header header;
     memcpy(&header, block, sizeof header);
-    if (header.magic != MAGIC || header.guid != hash(component.guid, strlen(component.guid)) || header.bytes != state_bytes()) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the state does not belong to %s with the GUID %s.", function, component.name, component.guid);
+    if (header.magic != MAGIC || header.guid != hash(component.guid, strlen(component.guid)) ||
+        header.bytes != state_bytes()) {
+        report(self, fmi2Error, LOG_ERROR, "%s: the state does not belong to %s with the GUID %s.", function,
+               component.name, component.guid);
         return false;
     }
     return true;
@@ -137,7 +141,8 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate)
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size)
 {
     Instance *self = c;
-    if (!allowed(self, "fmi2SerializedFMUstateSize", ANY_STATE) || !is_ours(self, "fmi2SerializedFMUstateSize", FMUstate) || !size)
+    if (!allowed(self, "fmi2SerializedFMUstateSize", ANY_STATE) ||
+        !is_ours(self, "fmi2SerializedFMUstateSize", FMUstate) || !size)
         return fmi2Error;
     *size = state_bytes();
     return fmi2OK;
@@ -159,14 +164,15 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
     return fmi2OK;
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size, fmi2FMUstate *FMUstate)
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
+                                   fmi2FMUstate *FMUstate)
 {
     Instance *self = c;
     if (!allowed(self, "fmi2DeSerializeFMUstate", ANY_STATE))
         return fmi2Error;
     if (size != state_bytes()) {
-        report(self, fmi2Error, LOG_ERROR, "fmi2DeSerializeFMUstate: %lu bytes, but a state of %s has %lu.", (unsigned long)size,
-               component.name, (unsigned long)state_bytes());
+        report(self, fmi2Error, LOG_ERROR, "fmi2DeSerializeFMUstate: %lu bytes, but a state of %s has %lu.",
+               (unsigned long)size, component.name, (unsigned long)state_bytes());
         return fmi2Error;
     }
     if (!is_ours(self, "fmi2DeSerializeFMUstate", serializedState))

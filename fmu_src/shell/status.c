@@ -1,11 +1,13 @@
-/* What an importer may ask between steps. fmi2DoStep is synchronous: no step is ever pending, so there is none to cancel or to report on. */
+/* What an importer may ask between steps. fmi2DoStep is synchronous: no step is ever pending, so there is none to
+   cancel or to report on. */
 #include "instance.h"
 
 fmi2Status fmi2CancelStep(fmi2Component c)
 {
     Instance *self = c;
     if (self)
-        report(self, fmi2Error, LOG_ERROR, "fmi2CancelStep: no step is in progress, fmi2DoStep never returns fmi2Pending.");
+        report(self, fmi2Error, LOG_ERROR,
+               "fmi2CancelStep: no step is in progress, fmi2DoStep never returns fmi2Pending.");
     return fmi2Error;
 }
 
@@ -14,7 +16,8 @@ static fmi2Status no_such_status(Instance *self, const char *function, fmi2Statu
 {
     if (!allowed(self, function, STEP_COMPLETE | TERMINATED))
         return fmi2Error;
-    report(self, fmi2Discard, LOG_DISCARD, "%s: there is no status of kind %d, fmi2DoStep never returns fmi2Pending.", function, (int)kind);
+    report(self, fmi2Discard, LOG_DISCARD, "%s: there is no status of kind %d, fmi2DoStep never returns fmi2Pending.",
+           function, (int)kind);
     return fmi2Discard;
 }
 

@@ -1,7 +1,9 @@
-/* fmi2DoStep: from t to t + h. Every sample instant in [t, t + h) jumps with the inputs set before the step, then the state flows to t + h.
+/* fmi2DoStep: from t to t + h. Every sample instant in [t, t + h) jumps with the inputs set before the step, then the
+   state flows to t + h.
 
-   Time is counted, never accumulated: sample instants are t0 + k Ts, and every time that the importer hands in is snapped first to whole
-   nanoseconds and then to a sample instant nearby, so that importers which accumulate, multiply or round times get identical bits. */
+   Time is counted, never accumulated: sample instants are t0 + k Ts, and every time that the importer hands in is
+   snapped first to whole nanoseconds and then to a sample instant nearby, so that importers which accumulate, multiply
+   or round times get identical bits. */
 #include <math.h>
 #include <string.h>
 
@@ -101,33 +103,37 @@ static bool legal_step(Instance *self, double t, double h, double end)
         return false;
     }
     if (!(fabs(t - run->time) <= run->tolerance)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: step from t = %.15g, but the current time is %.15g.", component.name, t, run->time);
+        report(self, fmi2Error, LOG_ERROR, "%s: step from t = %.15g, but the current time is %.15g.", component.name, t,
+               run->time);
         return false;
     }
     if (component.samples_inputs && run->sample_time > 0 && h > run->sample_time * (1 + SNAP)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: step size h = %.10g exceeds the sample time %.10g.", component.name, h, run->sample_time);
+        report(self, fmi2Error, LOG_ERROR, "%s: step size h = %.10g exceeds the sample time %.10g.", component.name, h,
+               run->sample_time);
         return false;
     }
     if (run->stop_time_defined && end > run->stop_time + run->tolerance) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the step from t = %.15g to %.15g goes beyond the stop time %.15g.", component.name, t, end,
-               run->stop_time);
+        report(self, fmi2Error, LOG_ERROR, "%s: the step from t = %.15g to %.15g goes beyond the stop time %.15g.",
+               component.name, t, end, run->stop_time);
         return false;
     }
     if (!(end >= run->time && isfinite(end))) {
-        report(self, fmi2Error, LOG_ERROR, "%s: a step to t = %.15g is impossible from the current time %.15g.", component.name, end, run->time);
+        report(self, fmi2Error, LOG_ERROR, "%s: a step to t = %.15g is impossible from the current time %.15g.",
+               component.name, end, run->time);
         return false;
     }
     return true;
 }
 
-/* One warning for each counter that rose in the step. The step itself is fine: it returns fmi2OK, as importers stop at less. */
+/* One warning for each counter that rose in the step. The step is fine and returns fmi2OK: importers stop at less. */
 static void warn_of_counters(Instance *self)
 {
     for (size_t i = 0; i < component.n_counters; i++) {
         double count = self->y[component.counters[i]];
         if (count > self->counts[i])
             report(self, fmi2Warning, LOG_WARNING, "%s: %s rose to %.10g at t = %.15g.", component.name,
-                   component.variables[component.n_inputs + component.n_parameters + component.counters[i]].name, count, self->run.time);
+                   component.variables[component.n_inputs + component.n_parameters + component.counters[i]].name, count,
+                   self->run.time);
         self->counts[i] = count;
     }
 }
@@ -148,8 +154,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     if (!advance(self, &pair, end, &ticks))
         return fmi2Error;
     if (!all_finite(pair.z, component.n_states)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.", component.name,
-               currentCommunicationPoint, end);
+        report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.",
+               component.name, currentCommunicationPoint, end);
         return fmi2Error;
     }
     /* The counters are looked at in every step; otherwise the outputs wait until somebody asks. */

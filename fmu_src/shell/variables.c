@@ -1,4 +1,5 @@
-/* Getting and setting variables. Every entry of a call is checked before the first is read or written: a refused call changes nothing. */
+/* Getting and setting variables. Every entry of a call is checked before the first is read or written: a refused call
+   changes nothing. */
 #include <limits.h>
 #include <math.h>
 
@@ -9,18 +10,19 @@
 
 static const char *const TYPE_NAMES[] = {"Real", "Integer"};
 
-/* The variable of this value reference and type, or NULL after a message. Enumerations count as Integer, as in the standard. */
+/* The variable of this value reference and type, or NULL after a message. Enumerations count as Integer, as in the
+   standard. */
 static const Variable *find(Instance *self, const char *function, fmi2ValueReference reference, Type type)
 {
     if (reference >= N_VARIABLES) {
-        report(self, fmi2Error, LOG_ERROR, "%s: no variable has the value reference %u, the largest is %lu.", function, reference,
-               (unsigned long)N_VARIABLES - 1);
+        report(self, fmi2Error, LOG_ERROR, "%s: no variable has the value reference %u, the largest is %lu.", function,
+               reference, (unsigned long)N_VARIABLES - 1);
         return NULL;
     }
     const Variable *variable = &component.variables[reference];
     if (variable->type != type) {
-        report(self, fmi2Error, LOG_ERROR, "%s: %s (value reference %u) is not of type %s but %s.", function, variable->name, reference,
-               TYPE_NAMES[type], TYPE_NAMES[variable->type]);
+        report(self, fmi2Error, LOG_ERROR, "%s: %s (value reference %u) is not of type %s but %s.", function,
+               variable->name, reference, TYPE_NAMES[type], TYPE_NAMES[variable->type]);
         return NULL;
     }
     return variable;
@@ -30,12 +32,14 @@ static bool has_pointers(Instance *self, const char *function, size_t n, const v
 {
     if (n == 0 || (references && values))
         return true;
-    report(self, fmi2Error, LOG_ERROR, "%s: %lu variables announced, but a list is a null pointer.", function, (unsigned long)n);
+    report(self, fmi2Error, LOG_ERROR, "%s: %lu variables announced, but a list is a null pointer.", function,
+           (unsigned long)n);
     return false;
 }
 
-/* Before initialization mode only what has a start value is known; after fmi2Terminate the last values remain readable. */
-static bool can_get(Instance *self, const char *function, const fmi2ValueReference references[], size_t n, const void *values, Type type)
+/* Before initialization mode only what has a start value is known; after fmi2Terminate the last values remain. */
+static bool can_get(Instance *self, const char *function, const fmi2ValueReference references[], size_t n,
+                    const void *values, Type type)
 {
     if (!allowed(self, function, ANY_STATE) || !has_pointers(self, function, n, references, values))
         return false;
@@ -48,7 +52,8 @@ static bool can_get(Instance *self, const char *function, const fmi2ValueReferen
             continue;
         outputs = true;
         if (self->run.lifecycle == INSTANTIATED) {
-            report(self, fmi2Error, LOG_ERROR, "%s: %s is not known before initialization mode.", function, variable->name);
+            report(self, fmi2Error, LOG_ERROR, "%s: %s is not known before initialization mode.", function,
+                   variable->name);
             return false;
         }
     }
@@ -73,8 +78,8 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     for (size_t i = 0; i < nvr; i++) {
         double exact = self->values[vr[i]];
         if (!(exact >= INT_MIN && exact <= INT_MAX)) {
-            report(self, fmi2Error, LOG_ERROR, "fmi2GetInteger: %s = %.10g lies outside [%d, %d].", component.variables[vr[i]].name, exact,
-                   INT_MIN, INT_MAX);
+            report(self, fmi2Error, LOG_ERROR, "fmi2GetInteger: %s = %.10g lies outside [%d, %d].",
+                   component.variables[vr[i]].name, exact, INT_MIN, INT_MAX);
             return fmi2Error;
         }
     }
@@ -93,8 +98,8 @@ static bool can_set(Instance *self, const char *function, fmi2ValueReference ref
         return true;
     case FIXED_PARAMETER:
         if (self->run.lifecycle == STEP_COMPLETE) {
-            report(self, fmi2Error, LOG_ERROR, "%s: %s is a fixed parameter, %.10g cannot be set after initialization.", function,
-                   variable->name, value);
+            report(self, fmi2Error, LOG_ERROR, "%s: %s is a fixed parameter, %.10g cannot be set after initialization.",
+                   function, variable->name, value);
             return false;
         }
         break;
@@ -108,8 +113,8 @@ static bool can_set(Instance *self, const char *function, fmi2ValueReference ref
     }
     if (variable->min <= value && value <= variable->max)
         return true;
-    report(self, fmi2Error, LOG_ERROR, "%s: %s = %.10g lies outside [%.10g, %.10g].", function, variable->name, value, variable->min,
-           variable->max);
+    report(self, fmi2Error, LOG_ERROR, "%s: %s = %.10g lies outside [%.10g, %.10g].", function, variable->name, value,
+           variable->min, variable->max);
     return false;
 }
 
@@ -149,19 +154,19 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 }
 
 /* No component has Boolean or String variables: an empty call is fine, any value reference is of the wrong type. */
-static fmi2Status no_such_type(Instance *self, const char *function, unsigned lifecycles, const fmi2ValueReference vr[], size_t nvr,
-                               const void *value)
+static fmi2Status no_such_type(Instance *self, const char *function, unsigned lifecycles, const fmi2ValueReference vr[],
+                               size_t nvr, const void *value)
 {
     if (!allowed(self, function, lifecycles) || !has_pointers(self, function, nvr, vr, value))
         return fmi2Error;
     if (nvr == 0)
         return fmi2OK;
     if (vr[0] < N_VARIABLES)
-        report(self, fmi2Error, LOG_ERROR, "%s: %s (value reference %u) is of type %s.", function, component.variables[vr[0]].name, vr[0],
-               TYPE_NAMES[component.variables[vr[0]].type]);
+        report(self, fmi2Error, LOG_ERROR, "%s: %s (value reference %u) is of type %s.", function,
+               component.variables[vr[0]].name, vr[0], TYPE_NAMES[component.variables[vr[0]].type]);
     else
-        report(self, fmi2Error, LOG_ERROR, "%s: no variable has the value reference %u, the largest is %lu.", function, vr[0],
-               (unsigned long)N_VARIABLES - 1);
+        report(self, fmi2Error, LOG_ERROR, "%s: no variable has the value reference %u, the largest is %lu.", function,
+               vr[0], (unsigned long)N_VARIABLES - 1);
     return fmi2Error;
 }
 

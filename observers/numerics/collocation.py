@@ -13,8 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from flint import arb
 
 from observers.numerics import lgl
+from observers.numerics.exact import in_high_precision, matrix, rounded, table
 from observers.numerics.forced import forced_response, input_at
 from observers.numerics.semilinear import Split
 
@@ -23,7 +25,7 @@ from observers.numerics.semilinear import Split
 class Window:
     """Constants of a window of `samples` = L sample intervals of length `sample_time` on LGL nodes of order N.
 
-    Stacked vectors are node-major: X = [X_1; ...; X_N], V likewise. `Phi` (N nx x nx), `Psi` (N nx x N nv).
+    Stacked vectors are node-major: X = [X_1; ...; X_N], V likewise. `Phi` (N nx x nx), `Psi` (N nx x N nv), as Arb numbers.
     """
 
     order: int
@@ -44,36 +46,54 @@ class Window:
         """Times of the nodes 0..N since the window's start [s], by (9)."""
         return (lgl.nodes(self.order) + 1) / 2 * self.length
 
+    @in_high_precision
     def at(self, times: np.ndarray, states: list[int] | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(Ph, Ps, Xi) with [x(times)]_states = Ph x0 + Ps V + Xi U, stacked time by time; `times` [s] since the window's start."""
         nx = len(self.split.A)
-        P = lgl.interpolation(self.order, 2 * np.asarray(times) / self.length - 1)
-        spread = np.kron(P[:, 1:], np.eye(nx))
-        Ph = np.kron(P[:, :1], np.eye(nx)) + spread @ self.Phi
-        Ps = spread @ self.Psi
+        points = [2 * arb(float(time)) / self.length - 1 for time in times]
+        P = lgl.interpolation_exact(self.order, np.array(points, dtype=object))
+        Ph = np.kron(P[:, :1], np.eye(nx, dtype=int)) + _spread(P[:, 1:], self.Phi, nx)
+        Ps = _spread(P[:, 1:], self.Psi, nx)
         Xi = forced_response(self.split.A, self.split.B, self.sample_time, self.samples, np.asarray(times), self.input_kind)
-        keep = np.arange(len(times))[:, None] * nx + np.arange(nx)[states if states is not None else slice(None)]
-        return Ph[keep.ravel()], Ps[keep.ravel()], Xi[keep.ravel()]
+        keep = (np.arange(len(times))[:, None] * nx + np.arange(nx)[states if states is not None else slice(None)]).ravel()
+        return rounded(Ph[keep]), rounded(Ps[keep]), Xi[keep]
 
     def inputs_at(self, times: np.ndarray) -> np.ndarray:
         """Weights (len(times) x count) of the window's input values in u(times)."""
         return input_at(self.sample_time, self.samples, np.asarray(times), self.input_kind)
 
     @property
+    @in_high_precision
     def node0(self) -> tuple[np.ndarray, np.ndarray]:
         """(R0, RV): the residual of (16) at the dropped node 0 is R0 x0 + RV V - (delta / 2) E phi(x0)."""
         nx = len(self.split.A)
-        d = lgl.differentiation(self.order)[0]
-        spread = np.kron(d[None, 1:], np.eye(nx))
-        return d[0] * np.eye(nx) + spread @ self.Phi - self.length / 2 * self.split.A, spread @ self.Psi
+        d = lgl.differentiation_exact(self.order)[:1]
+        half = arb(self.length) / 2
+        R0 = d[0, 0] * np.eye(nx, dtype=int) + _spread(d[:, 1:], self.Phi, nx) - half * table(matrix(self.split.A))
+        return rounded(R0), rounded(_spread(d[:, 1:], self.Psi, nx))
 
 
+@in_high_precision
 def window(split: Split, order: int, samples: int, sample_time: float, input_kind: str = "held") -> Window:
     """The constants for polynomial order N = `order` over L = `samples` intervals. Cost O((N nx)^3), once, at build time."""
-    nx = len(split.A)
-    half = samples * sample_time / 2
-    integrate = np.linalg.inv(lgl.differentiation(order)[1:, 1:])  # A1: rates at the nodes to states, from the window's start
-    S = np.linalg.inv(np.eye(order * nx) - half * np.kron(integrate, split.A))
-    Phi = S @ np.kron(np.ones((order, 1)), np.eye(nx))
-    Psi = half * S @ np.kron(integrate, split.E)
+    nx, nv = len(split.A), split.E.shape[1]
+    half = arb(samples * sample_time) / 2
+    integrate = table(matrix(lgl.differentiation_exact(order)[1:, 1:]).inv())  # A1: rates at the nodes to states
+    S = matrix(np.eye(order * nx, dtype=int) - half * np.kron(integrate, _whole(split.A)))
+    Phi = table(S.solve(matrix(np.kron(np.ones((order, 1)), np.eye(nx)))))
+    Psi = table(S.solve(matrix(half * np.kron(integrate, _whole(split.E))))) if nv else np.empty((order * nx, 0), dtype=object)
     return Window(order, samples, sample_time, split, input_kind, Phi, Psi)
+
+
+def _whole(array: np.ndarray) -> np.ndarray:
+    """The same doubles, exactly, as Arb numbers."""
+    return table(matrix(array)) if array.size else array.astype(object)
+
+
+def _spread(P: np.ndarray, stacked: np.ndarray, nx: int) -> np.ndarray:
+    """(P (x) I) stacked for P (m x N), stacked (N nx x k), without forming the Kronecker product."""
+    m, k = P.shape[0], stacked.shape[1]
+    if m == 0 or k == 0:
+        return np.empty((m * nx, k), dtype=object)
+    flat = stacked.reshape(P.shape[1], nx * k)
+    return table(matrix(P) * matrix(flat)).reshape(m * nx, k)

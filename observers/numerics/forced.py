@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import expm
+from flint import arb
+
+from observers.numerics.exact import in_high_precision, matrix, rounded, table
 
 
+@in_high_precision
 def forced_response(A: np.ndarray, B: np.ndarray, sample_time: float, samples: int, times: np.ndarray, kind: str) -> np.ndarray:
     """The matrix (len(times) nx) x (count nu) from the stacked input values to the stacked c at `times` in [0, samples * sample_time].
 
@@ -14,34 +17,40 @@ def forced_response(A: np.ndarray, B: np.ndarray, sample_time: float, samples: i
     """
     nx, nu = B.shape
     count = samples + (kind == "linear")
-    augmented = np.block(
-        [
-            [A, B, np.zeros((nx, nu))],
-            [np.zeros((nu, nx + nu)), np.eye(nu)],
-            [np.zeros((nu, nx + 2 * nu))],
-        ]
+    if nu == 0 or not B.any():
+        return np.zeros((len(times) * nx, count * nu))
+    augmented = matrix(
+        np.block(
+            [
+                [A, B, np.zeros((nx, nu))],
+                [np.zeros((nu, nx + nu)), np.eye(nu)],
+                [np.zeros((nu, nx + 2 * nu))],
+            ]
+        )
     )
+    Ts = arb(sample_time)
 
-    def over(tau: float, i: int, c: np.ndarray) -> np.ndarray:
+    def over(tau: arb, i: int, c: np.ndarray) -> np.ndarray:
         """c a time tau into interval i, from c at its start."""
-        e = expm(augmented * tau)[:nx]
-        response = e[:, :nx] @ c
+        e = table((augmented * tau).exp())[:nx]
+        response = table(matrix(e[:, :nx]) * matrix(c))
         value, slope = e[:, nx : nx + nu], e[:, nx + nu :]
+        here, following = slice(i * nu, (i + 1) * nu), slice((i + 1) * nu, (i + 2) * nu)
         if kind == "linear":
-            response[:, i * nu : (i + 1) * nu] += value - slope / sample_time
-            response[:, (i + 1) * nu : (i + 2) * nu] += slope / sample_time
+            response[:, here] += value - slope / Ts
+            response[:, following] += slope / Ts
         else:
-            response[:, i * nu : (i + 1) * nu] += value
+            response[:, here] += value
         return response
 
-    at_samples = [np.zeros((nx, count * nu))]
+    at_samples = [np.full((nx, count * nu), arb(0), dtype=object)]
     for i in range(samples):
-        at_samples.append(over(sample_time, i, at_samples[-1]))
+        at_samples.append(over(Ts, i, at_samples[-1]))
     rows = []
     for time in times:
         i = interval(float(time), sample_time, samples)
-        rows.append(over(float(time) - i * sample_time, i, at_samples[i]))
-    return np.vstack(rows) if rows else np.zeros((0, count * nu))
+        rows.append(over(arb(float(time)) - i * Ts, i, at_samples[i]))
+    return rounded(np.vstack(rows))
 
 
 def input_at(sample_time: float, samples: int, times: np.ndarray, kind: str) -> np.ndarray:

@@ -22,6 +22,7 @@ import numpy as np
 
 from observers.numerics import linear
 from observers.numerics.collocation import Window
+from observers.numerics.exact import product
 from observers.numerics.pointwise import Pointwise
 from observers.numerics.semilinear import Split
 
@@ -84,7 +85,7 @@ def known_terms(problem: LeastSquares) -> tuple[ca.Function, list[int]]:
     t, p, U = ca.MX.sym("t"), ca.MX.sym("p", problem.n_parameters), ca.MX.sym("U", count * nu)
     XiQ = w.at(nodes, w.split.states)[2]
     xi_points = w.at(problem.points)[2]
-    offset = np.kron(np.eye(len(problem.points)), problem.output.A) @ xi_points + np.kron(at_points, problem.output.B)
+    offset = product(np.kron(np.eye(len(problem.points)), problem.output.A), xi_points) + np.kron(at_points, problem.output.B)
     XiH = w.at(problem.points, problem.output.states)[2]
 
     def terms(part: Pointwise, weights: np.ndarray, times: np.ndarray) -> ca.MX:
@@ -94,10 +95,10 @@ def known_terms(problem: LeastSquares) -> tuple[ca.Function, list[int]]:
         values = [part.known(t + float(time), stacked[i * nu : (i + 1) * nu], p) for i, time in enumerate(times)]
         return ca.vertcat(*values)
 
-    def product(matrix: np.ndarray) -> ca.MX:
+    def response(matrix: np.ndarray) -> ca.MX:
         return ca.MX(ca.DM(matrix)) @ U if matrix.size and matrix.any() else ca.MX(ca.DM.zeros(matrix.shape[0], 1))
 
-    parts = [product(XiQ), terms(rates, at_nodes, nodes), product(offset), ca.vertcat(product(XiH), terms(rest, at_points, problem.points))]
+    parts = [response(XiQ), terms(rates, at_nodes, nodes), response(offset), ca.vertcat(response(XiH), terms(rest, at_points, problem.points))]
     lengths = [part.numel() for part in parts]
     function = ca.Function("known_terms", [t, U, p], [ca.vertcat(*parts)])
     return (function.expand() if problem.is_small else function), lengths
@@ -199,7 +200,7 @@ def _measured(
     rest, nx, ny, m = problem.output_rest, problem.nx, problem.ny, len(problem.points)
     Ph, Ps, _ = problem.window.at(problem.points)
     C = np.kron(np.eye(m), problem.output.A)
-    CPh, CPs = C @ Ph, C @ Ps
+    CPh, CPs = product(C, Ph), product(C, Ps)
     PhH, PsH, _ = problem.window.at(problem.points, problem.output.states)
     *_, offset, CH, eh = _split_data(problem, data, lengths)
     x0, theta = s[:nx], s[nx:]

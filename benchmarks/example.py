@@ -1,0 +1,22 @@
+"""Gong, Ross & Kang 2007, Example 1: the measurements that everything here is timed on, and where the observer starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from observers.instance import Instance
+from reference_models.duffing import DUFFING
+from reference_models.plant import plant
+
+STOP = 50.0  # [s]
+GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
+
+
+def measurements(sample_time: float) -> np.ndarray:
+    """y of the noise-free plant at t = 0, Ts, ... up to but without STOP, (STOP / Ts,); `sample_time` in seconds."""
+    duffing = Instance(plant(DUFFING))
+    y = np.empty(round(STOP / sample_time))
+    for k in range(len(y)):
+        y[k] = duffing.get("y")
+        duffing.step(duffing.time, sample_time)
+    return y
