@@ -20,7 +20,7 @@ class Layout:
         """The parts of z (total x 1), by attribute."""
         parts, start = {}, 0
         for name, size in self.sizes.items():
-            parts[name] = z[start : start + size]
+            parts[name] = z[start : start + size] if size else type(z)(0, 1)  # an empty slice would be 1 x 0
             start += size
         return SimpleNamespace(**parts)
 

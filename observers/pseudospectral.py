@@ -103,7 +103,7 @@ def pseudospectral(
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", len(ports.inputs))
     p, t, h = ca.SX.sym("p", len(ports.parameters)), ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), ports.unpack(p)
-    known = u[ny:]
+    known = u[ny:] if len(model.inputs) else ca.SX(0, 1)
 
     rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
     moved = runge_kutta(lambda x, time: rhs(x, known, q.model, s.theta, time), s.x, t, h)
@@ -200,7 +200,7 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
     )
     z, u, p, t = (ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", len(ports.parameters)), ("t",)))
     s, q = state.unpack(z), ports.unpack(p)
-    known = u[ny:]
+    known = u[ny:] if nu else ca.MX(0, 1)
 
     # Steps 1, 2: collect the measurement. A rejected one weighs nothing and never enters the window.
     valid = ca.fabs(u[:ny]) <= HUGE  # false for NaN
