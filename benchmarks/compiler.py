@@ -27,7 +27,20 @@ def compile_c(sources: Iterable[Path], out: Path, *more: str, cache: Path | None
     target = PLATFORMS[resolve(["host"])[0]].target
     folder = str(cache or cache_folder())
     result = subprocess.run(
-        [sys.executable, "-m", "ziglang", "cc", "-target", target, *FLAGS, "-g0", "-o", str(out), *map(str, sources), *more],
+        [
+            sys.executable,
+            "-m",
+            "ziglang",
+            "cc",
+            "-target",
+            target,
+            *FLAGS,
+            "-g0",
+            "-o",
+            str(out),
+            *map(str, sources),
+            *more,
+        ],
         env=os.environ | {"ZIG_GLOBAL_CACHE_DIR": folder, "ZIG_LOCAL_CACHE_DIR": folder},
         capture_output=True,
         text=True,

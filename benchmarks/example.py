@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.native import Experiment
 from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 
+SAMPLE_TIME, N, L = 0.1, 15, 8
 STOP = 50.0  # [s]
 GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
 
@@ -20,3 +22,14 @@ def measurements(sample_time: float) -> np.ndarray:
         y[k] = duffing.get("y")
         duffing.step(duffing.time, sample_time)
     return y
+
+
+def experiment(sample_time: float) -> Experiment:
+    """What the observer is driven with; the estimates of the current time are read, then those of the last sample instant."""
+    return Experiment(
+        samples=measurements(sample_time),
+        step=sample_time,
+        input="y",
+        outputs=[f"{group}.{name}" for group in ("estimate", "filtered") for name in GUESS],
+        start={f"guess.{name}": value for name, value in GUESS.items()},
+    )

@@ -66,7 +66,9 @@ def estimator(model: Model, guess: Mapping[str, float], *, sample_time: float, N
     nx = len(model.states)
     u, p = [v.start for v in model.inputs], [v.start for v in model.parameters]
     ode = ca.Function("ode", [eq.x, eq.theta, eq.t], [ca.substitute(eq.ode, ca.vertcat(eq.u, eq.p), ca.DM(u + p))])
-    measure = ca.Function("measure", [eq.x, eq.theta, eq.t], [ca.substitute(eq.output, ca.vertcat(eq.u, eq.p), ca.DM(u + p))])
+    measure = ca.Function(
+        "measure", [eq.x, eq.theta, eq.t], [ca.substitute(eq.output, ca.vertcat(eq.u, eq.p), ca.DM(u + p))]
+    )
     delta = L * sample_time
     times = (lgl.nodes(N) + 1) / 2 * delta
 
@@ -76,12 +78,16 @@ def estimator(model: Model, guess: Mapping[str, float], *, sample_time: float, N
     rates = ca.horzcat(*[ode(X[:, j], theta, start + times[j]) for j in range(1, N + 1)])
     collocation = X @ ca.DM(lgl.differentiation(N)[1:]).T - delta / 2 * rates
     at_samples = X @ ca.DM(lgl.interpolation(N, 2 * np.arange(L + 1) / L - 1)).T
-    cost = sample_time * sum(ca.sumsqr(measure(at_samples[:, i], theta, start + i * sample_time) - y[:, i]) for i in range(L + 1))
+    cost = sample_time * sum(
+        ca.sumsqr(measure(at_samples[:, i], theta, start + i * sample_time) - y[:, i]) for i in range(L + 1)
+    )
     problem = {"x": unknowns, "p": ca.vertcat(ca.vec(y), start), "f": cost, "g": ca.vec(collocation)}
     return Estimator(
         solver=ca.nlpsol("window", "ipopt", problem, OPTIONS),
         shift=_shift(ode, X, theta, times, sample_time),
-        first=np.concatenate([np.tile([guess[v.name] for v in model.states], N + 1), [guess[v.name] for v in model.unknown_parameters]]),
+        first=np.concatenate(
+            [np.tile([guess[v.name] for v in model.states], N + 1), [guess[v.name] for v in model.unknown_parameters]]
+        ),
         samples=L,
         sample_time=sample_time,
         estimated=nx + eq.theta.numel(),

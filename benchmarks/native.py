@@ -58,7 +58,9 @@ def unpack(fmu: Path, directory: Path) -> Unpacked:
     description = read_description(fmu)
     fmpy.extract(str(fmu), str(directory))
     platform = resolve(["host"])[0]
-    library = directory / "binaries" / platform / f"{description.coSimulation.modelIdentifier}{PLATFORMS[platform].suffix}"
+    library = (
+        directory / "binaries" / platform / f"{description.coSimulation.modelIdentifier}{PLATFORMS[platform].suffix}"
+    )
     if not library.is_file():
         raise BenchmarkError(f"{fmu} has no binary for {platform}")
     return Unpacked(directory, description, library)
@@ -68,13 +70,17 @@ def build_driver(directory: Path) -> Path:
     """The driver, compiled into `directory`. Raises BenchmarkError where there is no dlopen."""
     platform = resolve(["host"])[0]
     if platform == "win64":
-        raise BenchmarkError("the native driver loads the FMU with dlopen, which Windows lacks: run the benchmarks on Linux or macOS")
+        raise BenchmarkError(
+            "the native driver loads the FMU with dlopen, which Windows lacks: run the benchmarks on Linux or macOS"
+        )
     driver = directory / "driver"
     compile_c([SOURCE], driver, "-I", FMI_HEADERS, "-ldl")
     return driver
 
 
-def command(driver: Path, fmu: Unpacked, library: Path, experiment: Experiment, runs: int, directory: Path) -> list[str]:
+def command(
+    driver: Path, fmu: Unpacked, library: Path, experiment: Experiment, runs: int, directory: Path
+) -> list[str]:
     """The command that drives `library` through `experiment` `runs` times; the files in `directory` are its samples and its record."""
     samples = directory / "samples.bin"
     np.ascontiguousarray(experiment.samples, dtype=float).tofile(samples)
@@ -88,7 +94,10 @@ def command(driver: Path, fmu: Unpacked, library: Path, experiment: Experiment, 
         str(directory / "record.bin"),
         str(fmu.references([experiment.input])[0]),
         ",".join(map(str, fmu.references(experiment.outputs))),
-        *(f"{reference}={experiment.start[name]!r}" for name, reference in zip(experiment.start, fmu.references(list(experiment.start)), strict=True)),
+        *(
+            f"{reference}={experiment.start[name]!r}"
+            for name, reference in zip(experiment.start, fmu.references(list(experiment.start)), strict=True)
+        ),
     ]
 
 

@@ -53,9 +53,16 @@ def _step(slave: Slave, fmu: Unpacked, experiment: Experiment) -> PythonRun | No
     count, n = len(experiment.samples), len(experiment.outputs)
     samples, record = np.ascontiguousarray(experiment.samples, dtype=float), np.empty((count, n))
     iterations = np.empty(count, dtype=np.int32)
-    references = [np.array(fmu.references(names), dtype=np.uint32) for names in ([experiment.input], experiment.outputs, [ITERATIONS])]
+    references = [
+        np.array(fmu.references(names), dtype=np.uint32)
+        for names in ([experiment.input], experiment.outputs, [ITERATIONS])
+    ]
     input_reference, output_references, iterations_reference = (r.ctypes.data for r in references)
-    set_real, get_real, get_integer = slave.access("Set", "Real"), slave.access("Get", "Real"), slave.access("Get", "Integer")
+    set_real, get_real, get_integer = (
+        slave.access("Set", "Real"),
+        slave.access("Get", "Real"),
+        slave.access("Get", "Integer"),
+    )
     component, do_step, h = slave.component, slave.do_step, experiment.step
     sample_address, record_address, iterations_address = samples.ctypes.data, record.ctypes.data, iterations.ctypes.data
     total = 0

@@ -19,6 +19,7 @@ from fmpy.fmi2 import (
 )
 from toys import feedthrough_toy, growing_toy, sampled_toy
 
+from build_fmus import build, choose
 from fmu_src import export
 from observers.component import Component
 from reference_models.duffing import DUFFING
@@ -147,6 +148,33 @@ def slave(unpacked: Callable[[str], Path]) -> Iterator[Callable[..., Slave]]:
 
     def make(name: str, **options: Any) -> Slave:
         made.append(Slave(unpacked(name), **options))
+        return made[-1]
+
+    yield make
+    for instance in made:
+        instance.fmu.freeInstance()
+        assert not instance.blocks
+
+
+@pytest.fixture(scope="session")
+def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the whole catalogue: `fmus/` and `systems/`."""
+    folder = tmp_path_factory.mktemp("catalogue")
+    build(choose([]), folder / "fmus", ["host"])
+    return folder
+
+
+@pytest.fixture
+def catalogue_slave(catalogue: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Slave]]:
+    """Makes instances of the catalogue's FMU called `name`; afterwards each is freed and must have given all its memory back."""
+    folders: dict[str, Path] = {}
+    made: list[Slave] = []
+
+    def make(name: str) -> Slave:
+        if name not in folders:
+            folder = tmp_path_factory.mktemp(name)
+            folders[name] = Path(fmpy.extract(str(catalogue / "fmus" / f"{name}.fmu"), str(folder)))
+        made.append(Slave(folders[name]))
         return made[-1]
 
     yield make

@@ -96,6 +96,7 @@ def growing_toy() -> Component:
         output=ca.Function("output", [z, u, p, t], [z[0]]),
         parameters=(Port("start.z", "start value", start=1.0, variability="fixed"),),
         outputs=(Port("z", "the state"),),
-        stop_time=1.0,
+        max_step=0.03,
+        stop_time=0.5,
         step_size=0.1,
     )

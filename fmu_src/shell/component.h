@@ -30,7 +30,7 @@ typedef struct {
     double max_step;           /* the longest h that flow is called with [s] */
     const size_t *breaks;      /* parameters that hold times at which flow is cut */
     size_t n_breaks;
-    const size_t *counters; /* outputs that count troubles */
+    const size_t *counters; /* outputs that count troubles, from 0 */
     size_t n_counters;
     Function *start;                    /* (p, t0) -> z */
     Function *flow;                     /* (z, u, p, t, h) -> z */

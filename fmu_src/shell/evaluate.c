@@ -16,7 +16,7 @@ void set_defaults(Instance *self)
     memset(self->z, 0, component.n_states * sizeof *self->z);
     memset(self->breaks, 0, component.n_breaks * sizeof *self->breaks);
     memset(self->counts, 0, component.n_counters * sizeof *self->counts);
-    self->stale_start = self->stale_outputs = true;
+    self->stale_start = true; /* and the outputs with it */
 }
 
 bool all_finite(const double *values, size_t n)

@@ -135,7 +135,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
     self->run.stop_time_defined = stopTimeDefined != fmi2False;
     self->run.stop_time = stopTimeDefined ? stopTime : 0;
     self->run.is_set_up = 1;
-    self->stale_start = self->stale_outputs = true;
+    self->stale_start = true;
     return fmi2OK;
 }
 
@@ -157,11 +157,8 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     Instance *self = c;
     if (!allowed(self, "fmi2ExitInitializationMode", INITIALIZATION))
         return fmi2Error;
-    /* Counters start from what they are now, so that only a rise is worth a warning. */
-    if (component.n_counters > 0 ? !refresh_outputs(self) : !refresh_start(self))
+    if (!refresh_start(self))
         return fmi2Error;
-    for (size_t i = 0; i < component.n_counters; i++)
-        self->counts[i] = self->y[component.counters[i]];
     self->run.lifecycle = STEP_COMPLETE;
     report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name, self->run.t0,
            self->run.sample_time);

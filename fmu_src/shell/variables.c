@@ -120,8 +120,9 @@ static bool can_set(Instance *self, const char *function, fmi2ValueReference ref
 
 static void was_set(Instance *self)
 {
-    self->stale_outputs = true;
-    if (self->run.lifecycle != STEP_COMPLETE)
+    if (self->run.lifecycle == STEP_COMPLETE)
+        self->stale_outputs = true;
+    else
         self->stale_start = true;
 }
 
