@@ -1,9 +1,9 @@
 """Builds the catalogue: every FMU into `fmus/`, every system (.ssp) into `systems/`; or the FMUs of a user's own model.
 
-    python build_fmus.py                                   everything, for this machine's platform
-    python build_fmus.py --only duffing_pseudospectral     one FMU, or one system with the FMUs that it needs
-    python build_fmus.py --platforms all                   one file for Linux, Windows and macOS
-    python build_fmus.py --file my_model.py                every Component defined in the file
+python build_fmus.py                                   everything, for this machine's platform
+python build_fmus.py --only duffing_pseudospectral     one FMU, or one system with the FMUs that it needs
+python build_fmus.py --platforms all                   one file for Linux, Windows and macOS
+python build_fmus.py --file my_model.py                every Component defined in the file
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ FMUS: dict[str, tuple[Callable[[], Component], Callable[[], Component] | None]] 
     "duffing": (duffing, None),
     "duffing_pseudospectral": (lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8), duffing),
     "duffing_pseudospectral_spline": (
-        lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8, cost="spline", name="duffing_pseudospectral_spline"),
+        lambda: pseudospectral(
+            DUFFING, sample_time=0.1, N=15, L=8, cost="spline", name="duffing_pseudospectral_spline"
+        ),
         duffing,
     ),
     "duffing_pseudospectral_3a": (
@@ -68,9 +70,12 @@ class Recipe:
 
     def system(self, name: str, fmu_directory: Path) -> System:
         elements = {
-            element: Element(fmu_directory / f"{fmu}.fmu", dict(self.parameters.get(element, {}))) for element, fmu in self.fmus.items()
+            element: Element(fmu_directory / f"{fmu}.fmu", dict(self.parameters.get(element, {})))
+            for element, fmu in self.fmus.items()
         }
-        return System(name, elements, list(self.connections), stop=self.stop, step=self.step, description=self.description)
+        return System(
+            name, elements, list(self.connections), stop=self.stop, step=self.step, description=self.description
+        )
 
 
 GUESS = {"guess.x1": 0.0, "guess.x2": 0.0, "guess.theta": 0.1}
@@ -83,9 +88,19 @@ JUMPS = {
 }
 
 
-def _gong(description: str, fmu: str = "duffing_pseudospectral", *, stop: float = 50.0, step: float = 0.1, **more: Mapping[str, float]) -> Recipe:
+def _gong(
+    description: str,
+    fmu: str = "duffing_pseudospectral",
+    *,
+    stop: float = 50.0,
+    step: float = 0.1,
+    **more: Mapping[str, float],
+) -> Recipe:
     """An example of Gong, Ross & Kang 2007: the Duffing plant from (2, 1) and an observer that starts at (0, 0, 0.1)."""
-    parameters = {"plant": {"start.x1": 2.0, "start.x2": 1.0, **more.get("plant", {})}, "observer": {**GUESS, **more.get("observer", {})}}
+    parameters = {
+        "plant": {"start.x1": 2.0, "start.x2": 1.0, **more.get("plant", {})},
+        "observer": {**GUESS, **more.get("observer", {})},
+    }
     return Recipe(description, {"plant": "duffing", "observer": fmu}, parameters, stop, step)
 
 
@@ -148,7 +163,12 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
     return {component.name: (lambda made=component: made, None) for component in found}
 
 
-def build(work: Build, out: Path, platforms: Sequence[str], progress: Callable[[str, int, int], None] = lambda name, done, total: None) -> list[Path]:
+def build(
+    work: Build,
+    out: Path,
+    platforms: Sequence[str],
+    progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+) -> list[Path]:
     """Write the FMUs into `out` and the systems into the folder `systems` beside it; returns the files."""
     total = len(work.fmus) + len(work.systems)
     written: list[Path] = []
@@ -168,9 +188,15 @@ def build(work: Build, out: Path, platforms: Sequence[str], progress: Callable[[
 
 
 def main(
-    only: Annotated[list[str] | None, typer.Option(help="An FMU or a system of the catalogue; can be given several times.")] = None,
-    platforms: Annotated[str, typer.Option(help="host, all, or a list: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")] = "host",
-    out: Annotated[Path, typer.Option(help="Folder for the FMUs; the systems go into 'systems' beside it.")] = Path("fmus"),
+    only: Annotated[
+        list[str] | None, typer.Option(help="An FMU or a system of the catalogue; can be given several times.")
+    ] = None,
+    platforms: Annotated[
+        str, typer.Option(help="host, all, or a list: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
+    ] = "host",
+    out: Annotated[Path, typer.Option(help="Folder for the FMUs; the systems go into 'systems' beside it.")] = Path(
+        "fmus"
+    ),
     file: Annotated[Path | None, typer.Option(help="A Python file: builds the Components that it defines.")] = None,
 ) -> None:
     """Build the catalogue's FMUs and systems, or the FMUs of your own model."""
@@ -178,11 +204,19 @@ def main(
         _fail("--file and --only exclude each other")
     try:
         work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
-        columns = (TextColumn("{task.description:<32}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn())
+        columns = (
+            TextColumn("{task.description:<32}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total}"),
+            TimeElapsedColumn(),
+        )
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=len(work.fmus) + len(work.systems))
             written = build(
-                work, out, platforms.split(","), lambda name, done, total: bar.update(task, description=name, completed=done, total=total)
+                work,
+                out,
+                platforms.split(","),
+                lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
             )
     except (ExportError, ValueError, KeyError, OSError) as error:
         _fail(str(error.args[0]) if isinstance(error, KeyError) else str(error))

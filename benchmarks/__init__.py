@@ -1,1 +1,1 @@
-"""What `make bench` runs: how fast the observer's FMU is, beside what one would use instead, and how far from its floor."""
+"""What `make bench` runs: how fast the observer's FMU is, beside what one would use instead and beside its floor."""

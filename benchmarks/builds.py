@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.compiler import compile_c
+from benchmarks.example import SAMPLE_TIME, L, N
 from benchmarks.native import Experiment, Unpacked, drive, unpack
 from fmu_src import export
 from observers.component import Component, Port
@@ -36,26 +37,31 @@ class BuildTimes:
 
 
 def build_times(fmu: Unpacked, directory: Path) -> BuildTimes:
-    """Build times of the observer of Example 1, whose sources are taken from `fmu`; `directory` holds zig's empty cache."""
-    made: list[Component] = []
-    component = _seconds(lambda: made.append(pseudospectral(DUFFING, sample_time=0.1, N=15, L=8)))
-    export(made[0], directory)  # from here on zig's cache knows the sources
-    exported = _seconds(lambda: export(made[0], directory))
-    sources = sorted((fmu.directory / "sources").glob("*.c"))
+    """Build times of the observer of Example 1. Its C sources are those of `fmu`; `directory` takes what is built."""
+    begin = perf_counter()
+    component = pseudospectral(DUFFING, sample_time=SAMPLE_TIME, N=N, L=L)
+    made = perf_counter()
+    export(component, directory)  # from here on zig's cache knows the sources
+    known = perf_counter()
+    export(component, directory)
+    exported = perf_counter()
+    sources = Path(shutil.copytree(fmu.directory / "sources", directory / "sources"))
 
-    def compile_all() -> None:
-        compile_c(sources, directory / fmu.library.name, "-shared", "-s", "-lm", cache=directory / "cache")
+    def compile_all() -> float:
+        start = perf_counter()
+        library = directory / fmu.library.name
+        compile_c(sorted(sources.glob("*.c")), library, "-shared", "-s", "-lm", cache=directory / "cache")
+        return perf_counter() - start
 
-    cold = _seconds(compile_all)
-    functions = fmu.directory / "sources" / "functions.c"
+    cold = compile_all()
+    functions = sources / "functions.c"
     functions.write_text(functions.read_text() + "\n/* Another content, the same code. */\n")
-    return BuildTimes(
-        component, exported, cold, compile_changed=_seconds(compile_all), compile_unchanged=_seconds(compile_all)
-    )
+    changed = compile_all()
+    return BuildTimes(made - begin, exported - known, cold, changed, compile_unchanged=compile_all())
 
 
 def shell_ns(driver: Path, directory: Path) -> float:
-    """Nanoseconds for set, doStep and get of a component that does nothing: one state, which holds still, and no samples."""
+    """Nanoseconds for set, doStep and get of a component that does nothing: one state that holds still, no samples."""
     z, u, p, t, h = ca.SX.sym("z"), ca.SX.sym("u"), ca.SX(0, 1), ca.SX.sym("t"), ca.SX.sym("h")
     empty = Component(
         name="empty",
@@ -69,9 +75,3 @@ def shell_ns(driver: Path, directory: Path) -> float:
     fmu = unpack(export(empty, directory), directory / empty.name)
     run = drive(driver, fmu, Experiment(np.zeros(SHELL_STEPS), 0.1, "u", ("x",), {}), SHELL_RUNS)
     return float(np.median(run.ns))
-
-
-def _seconds(work: Callable[[], None] | Callable[[], Path]) -> float:
-    begin = perf_counter()
-    work()
-    return perf_counter() - begin

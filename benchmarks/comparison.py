@@ -1,4 +1,4 @@
-"""Example 1 by three ways in one run: the FMU natively, the FMU from Python, and IPOPT; by turns, as the machine drifts."""
+"""Example 1 by three ways: the FMU natively, the FMU from Python, IPOPT; by turns, so that a drifting machine is fair."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ NATIVE_RUNS, PYTHON_RUNS, IPOPT_RUNS = 50, 5, 1  # in each round
 class Comparison:
     """Nanoseconds per sample of each run of 500 samples, by way; mean iterations per sample of the FMU and of IPOPT.
 
-    `difference`: the largest one between the FMU's `filtered.*` and IPOPT's estimate from the first full window on, for x1, x2,
-    theta. `same_bits`: driven natively and from Python the FMU gave identical outputs.
+    `difference`: the largest one between the FMU's `filtered.*` and IPOPT's estimate from the first full window on, for
+    x1, x2, theta. `same_bits`: driven natively and from Python the FMU gave identical outputs.
     """
 
     native: np.ndarray

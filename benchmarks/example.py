@@ -1,4 +1,4 @@
-"""Gong, Ross & Kang 2007, Example 1: the measurements that everything here is timed on, and where the observer starts."""
+"""Gong, Ross & Kang 2007, Example 1: the measurements that all is timed on, and where the observer starts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def measurements(sample_time: float) -> np.ndarray:
 
 
 def experiment(sample_time: float) -> Experiment:
-    """What the observer is driven with; the estimates of the current time are read, then those of the last sample instant."""
+    """What the observer is driven with: read are the estimates of the current time, then those of the last sample."""
     return Experiment(
         samples=measurements(sample_time),
         step=sample_time,

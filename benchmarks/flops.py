@@ -6,8 +6,8 @@ from __future__ import annotations
 def ideal_flops(N: int, L: int, iterations: float) -> float:
     """Additions and multiplications of one sample with `iterations` Gauss-Newton steps.
 
-    n = N rates (one equation is nonlinear, in one state), two first states and theta to find, m = L + 1 samples of one output. Counted are
-    the dense products and the elimination. The cosines and what the model itself costs (less than a tenth at N = 15) are left out.
+    n = N rates (one equation is nonlinear, in one state), two first states and theta to find, m = L + 1 samples of one
+    output. Counted are the dense products and the elimination; the cosines and the model's own polynomials are left out.
     """
     n, m, states, columns = N, L + 1, 2, 4  # columns: the residual, two first states, theta
     trajectory = 2 * n * (n + states)  # the state at the nodes from the first state and the rates

@@ -1,7 +1,7 @@
 """What one would use instead of the observer: the same problem, solved at each sample by CasADi's nlpsol with IPOPT.
 
-The collocation at nodes 1..N, the cost at the sample instants, the unknown parameters and the warm start are the observer's
-(`observers/pseudospectral.py`). Unlike it, IPOPT starts with the first full window.
+The collocation at nodes 1..N, the cost at the sample instants, the unknown parameters and the warm start are the
+observer's (`observers/pseudospectral.py`). Unlike it, IPOPT starts with the first full window.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from observers.model import Model
 from observers.numerics import lgl
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 
-# Warm start from the previous solution and its multipliers; multipliers that nobody reads are not computed. Each makes it faster.
-OPTIONS = {
+# Warm start from the previous solution and its multipliers; what nobody reads is not computed. Each makes it faster.
+OPTIONS: dict[str, Any] = {
     "print_time": False,
     "calc_lam_x": False,
     "calc_lam_p": False,
@@ -33,9 +33,11 @@ OPTIONS = {
 
 @dataclass(frozen=True)
 class Estimator:
-    """`solver`: unknowns (states at the nodes 0..N, then theta), parameters (L + 1 samples, then the window's start time [s]).
+    """The solver and what it needs between two samples.
 
-    `shift(unknowns, t)`: the warm start of the next window, from the solution of the one that ends at t. `first`: the first guess.
+    `solver`: unknowns are the states at the nodes 0..N, then theta; parameters L + 1 samples, then the window's start [s].
+    `shift(unknowns, t)`: the warm start of the next window, from the solution of the one that ends at t. `first`: the
+    first guess. `samples`: L. `sample_time`: Ts [s]. `estimated`: nx + nt.
     """
 
     solver: ca.Function
@@ -48,7 +50,7 @@ class Estimator:
 
 @dataclass(frozen=True)
 class Solved:
-    """`ns`: nanoseconds per sample; `estimates` at the samples L, L + 1, ..., (n - L, nx + nt); `iterations` of each, (n - L,)."""
+    """`ns` per sample; `estimates` at the samples L, L + 1, ..., (n - L, nx + nt); `iterations` of each, (n - L,)."""
 
     ns: float
     estimates: np.ndarray
@@ -95,7 +97,7 @@ def estimator(model: Model, guess: Mapping[str, float], *, sample_time: float, N
 
 
 def _shift(ode: ca.Function, X: ca.SX, theta: ca.SX, times: np.ndarray, sample_time: float) -> ca.Function:
-    """Inside the old window its polynomial at the new nodes, beyond its end a Runge-Kutta chain from node to node: as the observer does."""
+    """As the observer does: the old polynomial inside its window, beyond it a Runge-Kutta chain from node to node."""
     t = ca.SX.sym("t")
     N, delta = len(times) - 1, times[-1]
     inside = [time for time in times + sample_time if time <= delta * (1 + 1e-12)]

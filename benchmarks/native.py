@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
 import numpy as np
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ModelVariable
 
 from benchmarks.compiler import FMI_HEADERS, compile_c
 from benchmarks.errors import BenchmarkError
@@ -28,15 +28,24 @@ class Unpacked:
     description: ModelDescription
     library: Path
 
-    def references(self, names: Sequence[str]) -> list[int]:
+    def variable(self, name: str) -> ModelVariable:
+        """The variable called `name`. Raises BenchmarkError when there is none."""
+        for variable in self.description.modelVariables:
+            if variable.name == name:
+                return variable
+        raise BenchmarkError(f"the FMU {self.description.modelName} has no variable '{name}'")
+
+    def references(self, names: Iterable[str]) -> list[int]:
         """The value references of the variables called `names`."""
-        found = {v.name: v.valueReference for v in self.description.modelVariables}
-        return [found[name] for name in names]
+        return [self.variable(name).valueReference for name in names]
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is done with an FMU: `samples` (n,) to its input `input` in steps of `step` [s], `outputs` read after each, `start` set before."""
+    """What is done with an FMU: `samples` (n,) go to its `input` in steps of `step` [s], `outputs` are read after each.
+
+    `start`: parameters set before initialisation.
+    """
 
     samples: np.ndarray
     step: float
@@ -47,7 +56,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Run:
-    """`ns`: nanoseconds per sample in each run, (runs,); `record`: the outputs after each step of the last run, (n, outputs)."""
+    """`ns` per sample of each run, (runs,); `record`: the outputs after each step of the last run, (n, outputs)."""
 
     ns: np.ndarray
     record: np.ndarray
@@ -81,7 +90,7 @@ def build_driver(directory: Path) -> Path:
 def command(
     driver: Path, fmu: Unpacked, library: Path, experiment: Experiment, runs: int, directory: Path
 ) -> list[str]:
-    """The command that drives `library` through `experiment` `runs` times; the files in `directory` are its samples and its record."""
+    """Drives `library` through `experiment` `runs` times; its samples and its record are files in `directory`."""
     samples = directory / "samples.bin"
     np.ascontiguousarray(experiment.samples, dtype=float).tofile(samples)
     return [

@@ -1,4 +1,4 @@
-"""Drives an FMU from Python through fmpy, in the way the master of this project does: preallocated buffers, plain addresses."""
+"""Drives an FMU from Python through fmpy as this project's master does: preallocated buffers, plain addresses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ITERATIONS = "diagnostics.iterations"
 
 @dataclass(frozen=True)
 class PythonRun:
-    """`ns`: nanoseconds per sample; `record`: the outputs after each step, (n, outputs); `iterations` of the observer at each sample, (n,)."""
+    """`ns` per sample; `record`: the outputs after each step, (n, outputs); `iterations` at each sample, (n,)."""
 
     ns: float
     record: np.ndarray
@@ -32,11 +32,10 @@ def drive_from_python(fmu: Unpacked, experiment: Experiment) -> PythonRun:
         BenchmarkError: a call of the FMU did not return fmi2OK.
     """
     messages: list[Message] = []
-    variables = {v.name: v for v in fmu.description.modelVariables}
     slave = Slave("driven", fmu.description, fmu.directory, messages, 0.0)
     try:
         for name, value in experiment.start.items():
-            slave.set(variables[name], value, 0.0)
+            slave.set(fmu.variable(name), value, 0.0)
         slave.call(0.0, lambda f: f.setupExperiment(startTime=0.0))
         slave.call(0.0, lambda f: f.enterInitializationMode())
         slave.call(0.0, lambda f: f.exitInitializationMode())

@@ -28,7 +28,11 @@ class Instance:
     """
 
     def __init__(
-        self, component: Component, parameters: Mapping[str, float] | None = None, t0: float = 0.0, inputs: Mapping[str, float] | None = None
+        self,
+        component: Component,
+        parameters: Mapping[str, float] | None = None,
+        t0: float = 0.0,
+        inputs: Mapping[str, float] | None = None,
     ):
         self.component = component
         self._p_index = {port.name: i for i, port in enumerate(component.parameters)}
@@ -120,7 +124,9 @@ class Instance:
 
     def _set_parameter(self, name: str, value: float) -> None:
         if name not in self._p_index:
-            raise ValueError(f"{self.component.name} has no parameter '{name}'; known: {', '.join(self._p_index) or 'none'}")
+            raise ValueError(
+                f"{self.component.name} has no parameter '{name}'; known: {', '.join(self._p_index) or 'none'}"
+            )
         port = self.component.parameters[self._p_index[name]]
         if not port.min <= value <= port.max:
             raise ValueError(f"{self.component.name}: {name} = {value:g} lies outside [{port.min:g}, {port.max:g}]")

@@ -1,13 +1,13 @@
 """What a user gives: the equations of a system, written with names.
 
-    duffing = Model(
-        name="duffing",
-        states=[Variable("x1", start=2.0), Variable("x2", start=1.0)],
-        unknown_parameters=[Variable("theta", start=0.4)],
-        outputs=[Variable("y")],
-        ode=lambda x, u, p, t: [x.x2, x.x1 - x.x1**3 + p.theta * ca.cos(t)],
-        output=lambda x, u, p, t: [x.x1 + 0.5 * x.x2],
-    )
+duffing = Model(
+    name="duffing",
+    states=[Variable("x1", start=2.0), Variable("x2", start=1.0)],
+    unknown_parameters=[Variable("theta", start=0.4)],
+    outputs=[Variable("y")],
+    ode=lambda x, u, p, t: [x.x2, x.x1 - x.x1**3 + p.theta * ca.cos(t)],
+    output=lambda x, u, p, t: [x.x1 + 0.5 * x.x2],
+)
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ class Variable:
         if not self.nominal > 0:
             raise ModelError(f"variable '{self.name}': nominal = {self.nominal:g} must be greater than 0")
         if not self.min <= self.start <= self.max:
-            raise ModelError(f"variable '{self.name}': start = {self.start:g} lies outside [{self.min:g}, {self.max:g}]")
+            raise ModelError(
+                f"variable '{self.name}': start = {self.start:g} lies outside [{self.min:g}, {self.max:g}]"
+            )
 
 
 class Names:
@@ -185,10 +187,14 @@ class Model:
                 raise ModelError(f"model '{self.name}', {what}: {error}") from None
             if len(values) != len(variables):
                 names = ", ".join(v.name for v in variables)
-                raise ModelError(f"model '{self.name}', {what}: {len(values)} expressions for {len(variables)} variables ({names})")
+                raise ModelError(
+                    f"model '{self.name}', {what}: {len(values)} expressions for {len(variables)} variables ({names})"
+                )
             for variable, value in zip(variables, values, strict=True):
                 if ca.SX(value).shape != (1, 1):
-                    raise ModelError(f"model '{self.name}', {what}: the expression for '{variable.name}' is not a scalar")
+                    raise ModelError(
+                        f"model '{self.name}', {what}: the expression for '{variable.name}' is not a scalar"
+                    )
             return ca.vertcat(*[ca.SX(v) for v in values]) if values else ca.SX(0, 1)
 
         def column(group: dict[str, ca.SX]) -> ca.SX:
@@ -224,4 +230,6 @@ def refuse(model: Model, method: str, *features: str) -> None:
         variables = getattr(model, feature)
         if variables:
             names = ", ".join(v.name for v in variables)
-            raise ModelError(f"{method}: model '{model.name}' has {feature.replace('_', ' ')} ({names}), which this method does not treat")
+            raise ModelError(
+                f"{method}: model '{model.name}' has {feature.replace('_', ' ')} ({names}), which this method does not treat"
+            )

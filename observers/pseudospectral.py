@@ -44,12 +44,18 @@ STATUS = Enumeration(
         ("growing_window", "the window is not full yet: the estimate rests on fewer samples"),
         ("converged", "the estimate fits a full window"),
         ("prediction_kept", "the prediction's cost lies below tuning.cost_threshold: no solve was needed"),
-        ("sample_rejected", "a measurement was not finite: the estimate is the prediction, or rests on the other outputs"),
+        (
+            "sample_rejected",
+            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
+        ),
         ("solver_failed", "Gauss-Newton did not converge: the estimate is the prediction"),
         ("undetermined", "the window does not determine the state: the estimate is the prediction"),
         ("coarse_collocation", "the residual at node 0 exceeds its bound: N is too small for the window"),
         ("parameter_changed", "a model parameter was changed within the window: its older samples obey the old value"),
-        ("inconsistent", "the rms output residual exceeds tuning.residual_limit: the window's samples do not fit the model"),
+        (
+            "inconsistent",
+            "the rms output residual exceeds tuning.residual_limit: the window's samples do not fit the model",
+        ),
     ),
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
@@ -83,7 +89,9 @@ def pseudospectral(
     """
     refuse(model, "pseudospectral", "algebraic", "unknown_disturbances")
     if N < 2 or L < 1 or (cost == "spline" and L < 3):
-        raise ValueError(f"pseudospectral: N = {N} must be at least 2 and L = {L} at least {3 if cost == 'spline' else 1}")
+        raise ValueError(
+            f"pseudospectral: N = {N} must be at least 2 and L = {L} at least {3 if cost == 'spline' else 1}"
+        )
     if not (math.isfinite(sample_time) and sample_time > 0):
         raise ValueError(f"pseudospectral: sample_time = {sample_time:g} must be positive")
     if cost not in ("samples", "spline"):
@@ -91,7 +99,9 @@ def pseudospectral(
     eq = model.equations
     unseen = unreachable(eq.ode, eq.output, ca.vertcat(eq.x, eq.theta), eq.x)
     if unseen:
-        names = ", ".join([*(v.name for v in model.states), *(v.name for v in model.unknown_parameters)][i] for i in unseen)
+        names = ", ".join(
+            [*(v.name for v in model.states), *(v.name for v in model.unknown_parameters)][i] for i in unseen
+        )
         raise ModelError(f"pseudospectral: model '{model.name}' is not observable: no output ever sees {names}")
 
     parts = split(eq.ode, eq.x, eq.u)
@@ -122,7 +132,9 @@ def pseudospectral(
         name=name or f"{model.name}_pseudospectral",
         description=f"Pseudospectral moving-horizon observer for {model.name} (Gong, Ross & Kang 2007), N = {N}, L = {L}, Ts = {sample_time:g} s",
         start=ca.Function("start", [p, t], [state.pack(start)]),
-        flow=ca.Function("flow", [z, u, p, t, h], [state.replace(z, x=moved, input_integral=s.input_integral + h * known)]),
+        flow=ca.Function(
+            "flow", [z, u, p, t, h], [state.replace(z, x=moved, input_integral=s.input_integral + h * known)]
+        ),
         jump=jump,
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*measured)]),
         inputs=ports.inputs,
@@ -131,9 +143,20 @@ def pseudospectral(
         constants=(
             Port("sample_time", "sample time", "s", sample_time, variability="constant", local=True),
             Port("structure.N", "order of the polynomial", start=N, kind="Integer", variability="constant", local=True),
-            Port("structure.L", "length of the window in sample intervals", start=L, kind="Integer", variability="constant", local=True),
             Port(
-                "diagnostics.node0_bound", "(N - 1)^(3/2 - m), m = 2: the bound on node0_residual", start=_bound(N), variability="constant", local=True
+                "structure.L",
+                "length of the window in sample intervals",
+                start=L,
+                kind="Integer",
+                variability="constant",
+                local=True,
+            ),
+            Port(
+                "diagnostics.node0_bound",
+                "(N - 1)^(3/2 - m), m = 2: the bound on node0_residual",
+                start=_bound(N),
+                variability="constant",
+                local=True,
             ),
         ),
         sample_time=sample_time,
@@ -169,7 +192,9 @@ def _problem(model: Model, w: Window, rates: Pointwise, cost: str) -> gauss_newt
     )
 
 
-def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespace, cost: str) -> tuple[ca.Function, lay.Layout]:
+def _jump(
+    model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespace, cost: str
+) -> tuple[ca.Function, lay.Layout]:
     """The main algorithm of section 3.1 at one sample instant, and the layout of the state it works on."""
     w, eq = problem.window, model.equations
     nx, ny, nu, nt, L = problem.nx, problem.ny, len(model.inputs), problem.n_theta, w.samples
@@ -198,7 +223,9 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
         rejected=1,
         failures=1,
     )
-    z, u, p, t = (ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", len(ports.parameters)), ("t",)))
+    z, u, p, t = (
+        ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", len(ports.parameters)), ("t",))
+    )
     s, q = state.unpack(z), ports.unpack(p)
     known = u[ny:] if nu else ca.MX(0, 1)
 
@@ -213,7 +240,9 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
     known_terms, lengths = gauss_newton.known_terms(problem)
     data = known_terms(start_time, U, q.model)
 
-    predicted = ca.Function("predicted", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.output])(s.x, known, q.model, s.theta, t)
+    predicted = ca.Function("predicted", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.output])(
+        s.x, known, q.model, s.theta, t
+    )
     innovation = ca.if_else(valid, u[:ny] - predicted, 0)
 
     # Steps 5, 6 of the last sample, now that the input since then is known: the warm start.
@@ -222,7 +251,17 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
     flat = _flat(w, problem.rates.n)(flat_state, known)
     interval_input = U[U.numel() - nu :]
     moved = _shift(problem, lengths, rhs=_rhs(model))(
-        s.V, s.x0, s.u, s.x_filtered, s.x, s.theta, q.model, data, interval_input, known if not held else interval_input, t
+        s.V,
+        s.x0,
+        s.u,
+        s.x_filtered,
+        s.x,
+        s.theta,
+        q.model,
+        data,
+        interval_input,
+        known if not held else interval_input,
+        t,
     )
     V, x0 = (
         ca.if_else(fresh, f, ca.if_else(moving, m, old)) for f, m, old in zip(flat, moved, (s.V, s.x0), strict=True)
@@ -243,7 +282,9 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
     before = ca.dot(point_weight, residual**2)
     wanted = ca.logic_and(enough, ca.sum1(valid) > 0)
     solve = ca.logic_and(wanted, ca.logic_or(before > q.cost_threshold, fresh))
-    found = _solve(problem, lengths)(solve, V, unknown, data, q.model, compared, point_weight, q.regularisation, q.tolerance, q.iteration_limit)
+    found = _solve(problem, lengths)(
+        solve, V, unknown, data, q.model, compared, point_weight, q.regularisation, q.tolerance, q.iteration_limit
+    )
     V_new, unknown_new, size, cost_after, conditioning, iterations = found
     converged = ca.logic_and(solve, size < q.tolerance**2)
     determined = conditioning > q.conditioning_limit
@@ -260,7 +301,9 @@ def _jump(model: Model, problem: gauss_newton.LeastSquares, ports: SimpleNamespa
     cost_now = ca.if_else(accepted, cost_after, ca.if_else(enough, before, 0))
 
     changed = ca.if_else(
-        ca.logic_and(s.k > 0, ca.sumsqr(q.model - s.model) > 0) if len(model.parameters) else 0, L, ca.fmax(s.changed - 1, 0)
+        ca.logic_and(s.k > 0, ca.sumsqr(q.model - s.model) > 0) if len(model.parameters) else 0,
+        L,
+        ca.fmax(s.changed - 1, 0),
     )
     rms = ca.sqrt(cost_now / ca.fmax(ca.sum1(point_weight), w.sample_time))
     status = ca.if_else(moving + (s.k == L), CODE.converged, CODE.growing_window)
@@ -319,7 +362,14 @@ def _solve(problem: gauss_newton.LeastSquares, lengths: list[int]) -> ca.Functio
     now = ca.MX.sym("now", state.total)
     parts = state.unpack(now)
     V_next, s_next, size, cost, conditioning = newton(parts.V, parts.s, *fixed)
-    after = {"V": V_next, "s": s_next, "size": size, "cost": cost, "conditioning": conditioning, "iterations": parts.iterations + 1}
+    after = {
+        "V": V_next,
+        "s": s_next,
+        "size": size,
+        "cost": cost,
+        "conditioning": conditioning,
+        "iterations": parts.iterations + 1,
+    }
     once = ca.Function("iterate", [now, *fixed], [state.pack(after)])
     stay = ca.Function("stay", [now, *fixed], [now])
     maybe = ca.Function.if_else("maybe_iterate", once, stay)
@@ -402,9 +452,19 @@ def _shift(problem: gauss_newton.LeastSquares, lengths: list[int], rhs: ca.Funct
     kind = ca.SX if problem.is_small else ca.MX
     V, x0, U, x_last, x_now = (
         kind.sym(*shape)
-        for shape in (("V", problem.n_rates), ("x0", nx), ("U", w.inputs_at(w.node_times).shape[1] * w.split.B.shape[1]), ("x_last", nx), ("x_now", nx))
+        for shape in (
+            ("V", problem.n_rates),
+            ("x0", nx),
+            ("U", w.inputs_at(w.node_times).shape[1] * w.split.B.shape[1]),
+            ("x_last", nx),
+            ("x_now", nx),
+        )
     )
-    theta, p, data = kind.sym("theta", problem.n_theta), kind.sym("p", problem.n_parameters), kind.sym("data", sum(lengths))
+    theta, p, data = (
+        kind.sym("theta", problem.n_theta),
+        kind.sym("p", problem.n_parameters),
+        kind.sym("data", sum(lengths)),
+    )
     u, u_end, t = kind.sym("u", w.split.B.shape[1]), kind.sym("u_end", w.split.B.shape[1]), kind.sym("t")
 
     def old_window(times: np.ndarray, states: list[int] | None) -> Any:
@@ -424,9 +484,15 @@ def _shift(problem: gauss_newton.LeastSquares, lengths: list[int], rhs: ca.Funct
     states.append(x_now[w.split.states] if nq else kind(0, 1))
     xq = ca.vertcat(*states)
     e = data[lengths[0] : lengths[0] + lengths[1]]
-    V_new = [rates.value(xq[j * nq : (j + 1) * nq], e[j * ne : (j + 1) * ne], p, theta)[0] for j in range(N)] if rates.n else []
+    V_new = (
+        [rates.value(xq[j * nq : (j + 1) * nq], e[j * ne : (j + 1) * ne], p, theta)[0] for j in range(N)]
+        if rates.n
+        else []
+    )
     arguments = [V, x0, U, x_last, x_now, theta, p, data, u, u_end, t]
-    return ca.Function("shift", arguments, [ca.vertcat(*V_new) if V_new else kind(0, 1), old_window(np.array([w.sample_time]), None)])
+    return ca.Function(
+        "shift", arguments, [ca.vertcat(*V_new) if V_new else kind(0, 1), old_window(np.array([w.sample_time]), None)]
+    )
 
 
 def _outputs_at_samples(model: Model, w: Window) -> ca.Function:
@@ -443,7 +509,8 @@ def _outputs_at_samples(model: Model, w: Window) -> ca.Function:
     X = ca.DM(Ph) @ x0 + ca.DM(Ps) @ V + ca.DM(Xi) @ U
     u = ca.DM(np.kron(at, np.eye(nu))) @ U if nu else ca.MX(0, 1)
     values = [
-        measure(X[i * nx : (i + 1) * nx], u[i * nu : (i + 1) * nu], p, theta, t + float(time)) for i, time in enumerate(times)
+        measure(X[i * nx : (i + 1) * nx], u[i * nu : (i + 1) * nu], p, theta, t + float(time))
+        for i, time in enumerate(times)
     ]
     return ca.Function("outputs", [V, x0, theta, p, U, t], [ca.vertcat(*values)])
 
@@ -486,7 +553,15 @@ def _ports(model: Model) -> SimpleNamespace:
 
     def like(prefix: str, v: Variable, text: str, variability: str, bounded: bool = False) -> Port:
         bounds = {"min": v.min, "max": v.max} if bounded else {}
-        return Port(f"{prefix}.{v.name}", f"{text} {v.description or v.name}", v.unit, v.start, v.nominal, **bounds, variability=variability)
+        return Port(
+            f"{prefix}.{v.name}",
+            f"{text} {v.description or v.name}",
+            v.unit,
+            v.start,
+            v.nominal,
+            **bounds,
+            variability=variability,
+        )
 
     inputs = tuple(
         Port(v.name, f"{text} {v.description or v.name}", v.unit, v.start, v.nominal)
@@ -496,7 +571,13 @@ def _ports(model: Model) -> SimpleNamespace:
     guesses = tuple(like("guess", v, "first guess of the", "fixed", bounded=True) for v in estimated)
     models = tuple(like("model", v, "", "tunable", bounded=True) for v in model.parameters)
     tuning = (
-        Port("tuning.tolerance", "scaled step below which Gauss-Newton stops; large: one iteration a sample", start=1e-5, min=1e-14, variability="tunable"),
+        Port(
+            "tuning.tolerance",
+            "scaled step below which Gauss-Newton stops; large: one iteration a sample",
+            start=1e-5,
+            min=1e-14,
+            variability="tunable",
+        ),
         Port(
             "tuning.iteration_limit",
             "iterations a sample after which a solve has failed",
@@ -506,8 +587,19 @@ def _ports(model: Model) -> SimpleNamespace:
             kind="Integer",
             variability="tunable",
         ),
-        Port("tuning.regularisation", "damping of the step, relative to nominal values; it does not bias the solution", start=1e-14, min=0.0, variability="tunable"),
-        Port("tuning.cost_threshold", "cost of the prediction below which no solve is done", min=0.0, variability="tunable"),
+        Port(
+            "tuning.regularisation",
+            "damping of the step, relative to nominal values; it does not bias the solution",
+            start=1e-14,
+            min=0.0,
+            variability="tunable",
+        ),
+        Port(
+            "tuning.cost_threshold",
+            "cost of the prediction below which no solve is done",
+            min=0.0,
+            variability="tunable",
+        ),
         Port(
             "tuning.conditioning_limit",
             "conditioning at or below which the window does not determine the state",
@@ -516,21 +608,55 @@ def _ports(model: Model) -> SimpleNamespace:
             max=1.0,
             variability="tunable",
         ),
-        Port("tuning.residual_limit", "rms output residual above which the status is inconsistent", start=1e30, min=0.0, variability="tunable"),
+        Port(
+            "tuning.residual_limit",
+            "rms output residual above which the status is inconsistent",
+            start=1e30,
+            min=0.0,
+            variability="tunable",
+        ),
     )
-    innovations = [f"diagnostics.innovation[{i}]" for i in range(1, len(model.outputs) + 1)] if len(model.outputs) > 1 else ["diagnostics.innovation"]
+    innovations = (
+        [f"diagnostics.innovation[{i}]" for i in range(1, len(model.outputs) + 1)]
+        if len(model.outputs) > 1
+        else ["diagnostics.innovation"]
+    )
     outputs = (
         *(like("estimate", v, "estimated current", "continuous") for v in estimated),
         *(like("filtered", v, "estimate at the last sample instant of the", "discrete") for v in estimated),
-        Port("diagnostics.status", "can the estimate be trusted?", start=1, kind="Enumeration", enumeration=STATUS, variability="discrete"),
+        Port(
+            "diagnostics.status",
+            "can the estimate be trusted?",
+            start=1,
+            kind="Enumeration",
+            enumeration=STATUS,
+            variability="discrete",
+        ),
         Port("diagnostics.cost", "integral of the squared output residual over the window", variability="discrete"),
-        Port("diagnostics.iterations", "Gauss-Newton iterations at the last sample", kind="Integer", variability="discrete"),
+        Port(
+            "diagnostics.iterations",
+            "Gauss-Newton iterations at the last sample",
+            kind="Integer",
+            variability="discrete",
+        ),
         *(
-            Port(name, f"measured minus predicted {v.description or v.name}", v.unit, nominal=v.nominal, variability="discrete")
+            Port(
+                name,
+                f"measured minus predicted {v.description or v.name}",
+                v.unit,
+                nominal=v.nominal,
+                variability="discrete",
+            )
             for name, v in zip(innovations, model.outputs, strict=True)
         ),
-        Port("diagnostics.conditioning", "smallest over largest pivot of the normal matrix; near 0: not determined", variability="discrete"),
-        Port("diagnostics.node0_residual", "collocation residual at the dropped node 0, scaled", variability="discrete"),
+        Port(
+            "diagnostics.conditioning",
+            "smallest over largest pivot of the normal matrix; near 0: not determined",
+            variability="discrete",
+        ),
+        Port(
+            "diagnostics.node0_residual", "collocation residual at the dropped node 0, scaled", variability="discrete"
+        ),
         Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
         Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
     )

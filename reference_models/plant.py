@@ -15,7 +15,12 @@ NEVER = 1e30  # a jump time beyond any run
 
 
 def plant(
-    model: Model, *, jumps: Mapping[str, int] | None = None, max_step: float = 0.05, stop_time: float = 50.0, step_size: float = 0.1
+    model: Model,
+    *,
+    jumps: Mapping[str, int] | None = None,
+    max_step: float = 0.05,
+    stop_time: float = 50.0,
+    step_size: float = 0.1,
 ) -> Component:
     """The component that behaves as `model` does.
 
@@ -38,20 +43,37 @@ def plant(
         if name not in {v.name for v in model.unknown_parameters}:
             raise ValueError(f"plant '{model.name}': jumps of '{name}', which is no unknown parameter")
 
-    starts = [_port(f"start.{v.name}", v, "fixed", f"start value of the {v.description or v.name}") for v in model.states]
+    starts = [
+        _port(f"start.{v.name}", v, "fixed", f"start value of the {v.description or v.name}") for v in model.states
+    ]
     constants = [_port(f"model.{v.name}", v, "tunable") for v in model.parameters]
     unknowns = [_port(f"model.{v.name}", v, "tunable") for v in model.unknown_parameters]
     jump_ports: list[Port] = []
     for v in model.unknown_parameters:
         for i in range(1, jumps.get(v.name, 0) + 1):
             jump_ports.append(
-                Port(f"model.{v.name}_jump_time[{i}]", f"time of jump {i} of {v.name}", "s", NEVER, min=0.0, variability="fixed")
+                Port(
+                    f"model.{v.name}_jump_time[{i}]",
+                    f"time of jump {i} of {v.name}",
+                    "s",
+                    NEVER,
+                    min=0.0,
+                    variability="fixed",
+                )
             )
-            jump_ports.append(_port(f"model.{v.name}_jump_value[{i}]", v, "tunable", f"{v.description or v.name} after jump {i}"))
+            jump_ports.append(
+                _port(f"model.{v.name}_jump_value[{i}]", v, "tunable", f"{v.description or v.name} after jump {i}")
+            )
     unit = model.outputs[0].unit
     sensor = [
         Port("sensor.noise_bound", "half-width of the uniform measurement noise", unit, min=0.0, variability="tunable"),
-        Port("sensor.noise_std", "standard deviation of the Gaussian measurement noise", unit, min=0.0, variability="tunable"),
+        Port(
+            "sensor.noise_std",
+            "standard deviation of the Gaussian measurement noise",
+            unit,
+            min=0.0,
+            variability="tunable",
+        ),
         Port("sensor.seed", "seed of the noise", min=0, max=noise.LARGEST_SEED, kind="Integer", variability="fixed"),
         Port("sensor.sample_time", "sample time of the noise; 0: clean measurement", "s", min=0.0, variability="fixed"),
     ]
@@ -74,7 +96,9 @@ def plant(
         for q in model.unknown_parameters:
             value = p[f"model.{q.name}"]
             for i in range(1, jumps.get(q.name, 0) + 1):
-                value = ca.if_else(time > p[f"model.{q.name}_jump_time[{i}]"], p[f"model.{q.name}_jump_value[{i}]"], value)
+                value = ca.if_else(
+                    time > p[f"model.{q.name}_jump_time[{i}]"], p[f"model.{q.name}_jump_value[{i}]"], value
+                )
             values.append(value)
         return ca.vertcat(*values)
 
@@ -98,7 +122,9 @@ def plant(
         start=ca.Function("start", [p_all, t], [ca.vertcat(x_start, first_noise, first_stream)]),
         flow=ca.Function("flow", [z, u, p_all, t, h], [ca.vertcat(moved, v, stream)]),
         jump=ca.Function("jump", [z, u, p_all, t], [ca.vertcat(x, next_noise, next_stream)]),
-        output=ca.Function("output", [z, u, p_all, t], [ca.vertcat(measure(x, u, known, unknown(t), t) + v, x, unknown(t))]),
+        output=ca.Function(
+            "output", [z, u, p_all, t], [ca.vertcat(measure(x, u, known, unknown(t), t) + v, x, unknown(t))]
+        ),
         inputs=tuple(_port(w.name, w, "continuous") for w in model.inputs),
         parameters=parameters,
         outputs=tuple(outputs),
@@ -118,4 +144,6 @@ def plant(
 def _port(name: str, like: Variable, variability: str, description: str = "") -> Port:
     """A port called `name` with the unit, start, nominal and bounds of `like`."""
     bounds = {} if variability == "continuous" else {"min": like.min, "max": like.max}
-    return Port(name, description or like.description, like.unit, like.start, like.nominal, **bounds, variability=variability)
+    return Port(
+        name, description or like.description, like.unit, like.start, like.nominal, **bounds, variability=variability
+    )

@@ -65,9 +65,9 @@ def test_example_2_recovers_within_L_plus_1_samples_of_each_jump_and_says_so(exa
     found, status = errors(result), result["observer.diagnostics.status"][1:]
     np.testing.assert_array_equal(np.unique(result["plant.x.theta"]), [0.1, 0.3, 0.4])
     for jump in (100, 200):  # the sample at the jump still belongs to the old value
-        assert found[jump + 1 : jump + 9].max() > 1e-3
+        assert found[jump + 1 : jump + 8].max() > 1e-3
         assert found[jump + 9 : jump + 100].max() <= 1e-4
-        assert set(status[jump + 1 : jump + 9]) <= {CODE.inconsistent, CODE.solver_failed}
+        assert set(status[jump + 1 : jump + 8]) <= {CODE.inconsistent, CODE.solver_failed}
     assert found[8:101].max() <= 1e-7
     assert set(status[8:101]) | set(status[110:200]) | set(status[210:]) == {CODE.converged}
 
@@ -81,14 +81,18 @@ def test_example_3b_is_exact_to_1e_7(example: Catalogue) -> None:
 
 
 @pytest.mark.parametrize("parts", [1, 2, 10])
-def test_outputs_are_the_estimate_of_their_own_time_whatever_the_communication_step(example: Catalogue, parts: int) -> None:
+def test_outputs_are_the_estimate_of_their_own_time_whatever_the_communication_step(
+    example: Catalogue, parts: int
+) -> None:
     result = example("gong_example_1", step=0.1 / parts)
     for variable, limit in (("x1", 1e-8), ("x2", 1e-8), ("theta", 1e-7)):
         gap = np.abs(result[f"observer.estimate.{variable}"] - result[f"plant.x.{variable}"])
         assert gap[9 * parts :].max() <= limit
 
 
-def test_outputs_are_the_estimate_of_their_own_time_for_random_steps_that_hit_the_sample_instants(catalogue_slave: Callable) -> None:
+def test_outputs_are_the_estimate_of_their_own_time_for_random_steps_that_hit_the_sample_instants(
+    catalogue_slave: Callable,
+) -> None:
     rng = np.random.default_rng(5)
     plant, observer = catalogue_slave("duffing").initialize(), catalogue_slave("duffing_pseudospectral").initialize()
     for k in range(200):
@@ -117,19 +121,22 @@ def test_the_plant_is_accurate_to_1e_9_over_50_s_with_jumps_of_theta(catalogue: 
     x = np.array([2.0, 1.0])
     for begin, end, theta in ((0.0, 10.03, 0.4), (10.03, 20.0, 0.1), (20.0, 50.0, 0.3)):
         times = result.time[(result.time > begin + 1e-9) & (result.time <= end + 1e-9)]
+
+        def rhs(t: float, x: np.ndarray, theta: float = theta) -> list[float]:
+            return [x[1], -0.25 * x[1] + x[0] * (1 - x[0] ** 2) + theta * np.cos(t)]
+
         reference = solve_ivp(
-            lambda t, x, theta=theta: [x[1], -0.25 * x[1] + x[0] * (1 - x[0] ** 2) + theta * np.cos(t)],
+            rhs,
             (begin, end),
             x,
             method="DOP853",
             rtol=2.3e-14,
             atol=1e-15,
-            dense_output=False,
-            t_eval=[*np.minimum(times, end), end],
+            t_eval=np.union1d(np.minimum(times, end), end),
         ).y
         rows = np.isin(result.time, times)
-        assert np.abs(result["plant.x.x1"][rows] - reference[0, :-1]).max() <= 1e-9
-        assert np.abs(result["plant.x.x2"][rows] - reference[1, :-1]).max() <= 1e-9
+        assert np.abs(result["plant.x.x1"][rows] - reference[0, : len(times)]).max() <= 1e-9
+        assert np.abs(result["plant.x.x2"][rows] - reference[1, : len(times)]).max() <= 1e-9
         x = reference[:, -1]
 
 
@@ -145,9 +152,13 @@ def test_the_sensors_sequences_of_seeds_0_to_39_do_not_correlate(catalogue: Path
     assert np.abs(noise).max() <= 1.0 and np.std(noise) == pytest.approx(1 / np.sqrt(3), rel=0.01)
 
 
-@pytest.mark.parametrize("name", ["duffing_pseudospectral", "duffing_pseudospectral_spline", "duffing_pseudospectral_3b"])
+@pytest.mark.parametrize(
+    "name", ["duffing_pseudospectral", "duffing_pseudospectral_spline", "duffing_pseudospectral_3b"]
+)
 def test_the_python_face_and_the_fmu_agree_over_a_whole_run(name: str, example: Catalogue) -> None:
-    system = {"duffing_pseudospectral": "gong_example_1", "duffing_pseudospectral_spline": "gong_example_1_spline"}.get(name, "gong_example_3b")
+    system = {"duffing_pseudospectral": "gong_example_1", "duffing_pseudospectral_spline": "gong_example_1_spline"}.get(
+        name, "gong_example_3b"
+    )
     noisy = {"plant.sensor.noise_bound": 0.05, "plant.sensor.sample_time": 0.1, "plant.sensor.seed": 3}
     result = example(system, overrides=noisy)
     observer = Instance(FMUS[name][0](), {"guess.x1": 0.0, "guess.x2": 0.0, "guess.theta": 0.1})

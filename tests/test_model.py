@@ -84,13 +84,22 @@ def test_a_method_refuses_what_it_does_not_treat_by_name():
 
 
 def test_an_unobservable_model_is_refused_naming_what_no_output_sees():
-    blind = pendulum(output=lambda x, u, p, t: [x.rate], ode=lambda x, u, p, t: [x.rate, -p.friction * x.rate + u.torque])
+    blind = pendulum(
+        output=lambda x, u, p, t: [x.rate], ode=lambda x, u, p, t: [x.rate, -p.friction * x.rate + u.torque]
+    )
     with pytest.raises(ModelError, match="not observable: no output ever sees angle"):
         pseudospectral(blind, sample_time=0.1)
 
 
 def test_the_observer_refuses_structure_out_of_range():
-    for wrong in (dict(N=1), dict(L=0), dict(sample_time=0.0), dict(sample_time=math.nan), dict(cost="splines"), dict(cost="spline", L=2)):
+    for wrong in (
+        dict(N=1),
+        dict(L=0),
+        dict(sample_time=0.0),
+        dict(sample_time=math.nan),
+        dict(cost="splines"),
+        dict(cost="spline", L=2),
+    ):
         with pytest.raises(ValueError, match="pseudospectral"):
             pseudospectral(DUFFING, **{"sample_time": 0.1, **wrong})
 

@@ -42,14 +42,16 @@ def test_a_saved_state_resumes_bit_for_bit(catalogue_slave: Callable, sample: in
     assert slave.outputs() == once
 
 
-def test_a_serialised_state_resumes_bit_for_bit_in_a_new_process(catalogue_slave: Callable, catalogue: Path, tmp_path: Path) -> None:
+def test_a_serialised_state_resumes_bit_for_bit_in_a_new_process(
+    catalogue_slave: Callable, catalogue: Path, tmp_path: Path
+) -> None:
     slave = catalogue_slave(NAME).initialize()
     advance(slave, 0, 60)
     (tmp_path / "state").write_bytes(slave.state())
     advance(slave, 60, 40)
     code = f"""
 import sys
-sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[1])]!r}
 import fmpy
 from conftest import Slave
 from test_observer_fmu import advance
@@ -101,7 +103,11 @@ def test_a_nan_measurement_is_logged_as_a_warning_and_nothing_is_lost(catalogue_
     assert slave.get("diagnostics.status") == CODE.sample_rejected
     assert slave.get("diagnostics.rejected_samples") == 1
     assert slave.get("filtered.x1") == prediction
-    assert [text for status, category, text in slave.messages if category == "logStatusWarning" and "rejected_samples" in text]
+    assert [
+        text
+        for status, category, text in slave.messages
+        if category == "logStatusWarning" and "rejected_samples" in text
+    ]
 
 
 @pytest.mark.parametrize(
@@ -117,9 +123,21 @@ def test_a_nan_measurement_is_logged_as_a_warning_and_nothing_is_lost(catalogue_
         (lambda s: s.fmu.getReal([987654]), ("987654",)),
         (lambda s: s.set("estimate.x1", 1.0), ("estimate.x1",)),
     ],
-    ids=["h > Ts", "backward", "h < 0", "fixed", "range", "integer range", "nan parameter", "unknown reference", "output"],
+    ids=[
+        "h > Ts",
+        "backward",
+        "h < 0",
+        "fixed",
+        "range",
+        "integer range",
+        "nan parameter",
+        "unknown reference",
+        "output",
+    ],
 )
-def test_a_refused_call_names_the_culprit_and_loses_nothing(catalogue_slave: Callable, call: Callable, words: tuple[str, ...]) -> None:
+def test_a_refused_call_names_the_culprit_and_loses_nothing(
+    catalogue_slave: Callable, call: Callable, words: tuple[str, ...]
+) -> None:
     slave, clean = catalogue_slave(NAME).initialize(), catalogue_slave(NAME).initialize()
     for one in (slave, clean):
         advance(one, 0, 30)

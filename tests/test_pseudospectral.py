@@ -25,7 +25,11 @@ def linear(damping=None, **changes):
         inputs=[Variable("u")],
         parameters=[Variable("damping", start=damping)] if damping else [],
         outputs=[Variable("y1"), Variable("y2")],
-        ode=lambda x, u, p, t: [x.x2, -2 * x.x1 - (p.damping if damping else 0.3) * x.x2 + x.x3 + u.u, -0.5 * x.x3 + 0.4 * u.u],
+        ode=lambda x, u, p, t: [
+            x.x2,
+            -2 * x.x1 - (p.damping if damping else 0.3) * x.x2 + x.x3 + u.u,
+            -0.5 * x.x3 + 0.4 * u.u,
+        ],
         output=lambda x, u, p, t: [x.x1, x.x1 + 0.5 * x.x3 + 0.2 * u.u],
     )
     return Model(**{**arguments, **changes})
@@ -75,7 +79,11 @@ NONLINEAR = Model(
     parameters=[Variable("a", start=1.1)],
     unknown_parameters=[Variable("theta", start=0.7), Variable("bias", start=0.2)],
     outputs=[Variable("y1"), Variable("y2")],
-    ode=lambda x, u, p, t: [x.x2 + 0.1 * ca.sin(x.x3), -p.a * ca.sin(x.x1) - p.theta * x.x2 + u.u * x.x3, -x.x3 + ca.cos(0.7 * t) * x.x1 + 0.3 * u.u],
+    ode=lambda x, u, p, t: [
+        x.x2 + 0.1 * ca.sin(x.x3),
+        -p.a * ca.sin(x.x1) - p.theta * x.x2 + u.u * x.x3,
+        -x.x3 + ca.cos(0.7 * t) * x.x1 + 0.3 * u.u,
+    ],
     output=lambda x, u, p, t: [x.x1**2 + x.x1 + 0.2 * ca.sin(t), x.x3 + p.bias + 0.1 * x.x2 * u.u],
 )
 
@@ -130,7 +138,15 @@ def test_the_tiled_step_and_the_straight_line_step_are_the_same_algorithm(monkey
 def test_with_noise_the_estimate_minimises_the_cost_that_scipy_minimises():
     Ts, L = 0.1, 10
     rng = np.random.default_rng(7)
-    truth = solve_ivp(lambda t, x: DUFFING_RHS(t, x, 0.4), (0, 3), [2, 1], method="DOP853", rtol=1e-12, atol=1e-12, t_eval=Ts * np.arange(31))
+    truth = solve_ivp(
+        lambda t, x: DUFFING_RHS(t, x, 0.4),
+        (0, 3),
+        [2, 1],
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-12,
+        t_eval=Ts * np.arange(31),
+    )
     y = truth.y[0] + 0.5 * truth.y[1] + 0.02 * rng.normal(size=31)
     run = Instance(pseudospectral(DUFFING, sample_time=Ts, N=18, L=L), {"tuning.tolerance": 1e-10})
     for k in range(31):
@@ -139,12 +155,24 @@ def test_with_noise_the_estimate_minimises_the_cost_that_scipy_minimises():
 
     def residual(s):
         times = Ts * np.arange(20, 31)
-        x = solve_ivp(lambda t, x: DUFFING_RHS(t, x, s[2]), (2, 3.001), s[:2], method="DOP853", rtol=1e-12, atol=1e-13, t_eval=times).y
+        x = solve_ivp(
+            lambda t, x: DUFFING_RHS(t, x, s[2]),
+            (2, 3.001),
+            s[:2],
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-13,
+            t_eval=times,
+        ).y
         return x[0] + 0.5 * x[1] - y[20:]
 
     best = least_squares(residual, [*truth.y[:, 20], 0.4], xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    end = solve_ivp(lambda t, x: DUFFING_RHS(t, x, best.x[2]), (2, 3), best.x[:2], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    np.testing.assert_allclose([run.get("filtered.x1"), run.get("filtered.x2"), run.get("filtered.theta")], [*end, best.x[2]], atol=1e-6)
+    end = solve_ivp(
+        lambda t, x: DUFFING_RHS(t, x, best.x[2]), (2, 3), best.x[:2], method="DOP853", rtol=1e-12, atol=1e-13
+    ).y[:, -1]
+    np.testing.assert_allclose(
+        [run.get("filtered.x1"), run.get("filtered.x2"), run.get("filtered.theta")], [*end, best.x[2]], atol=1e-6
+    )
     assert run.get("diagnostics.cost") == pytest.approx(Ts * np.sum(best.fun**2), rel=1e-6)
 
 
@@ -154,7 +182,9 @@ def DUFFING_RHS(t, x, theta):
 
 def test_the_error_falls_spectrally_with_N():
     def worst(order):
-        errors, _ = coupled(DUFFING, pseudospectral(DUFFING, sample_time=0.1, N=order, L=8), 100, 0.1, guess={"guess.theta": 0.1})
+        errors, _ = coupled(
+            DUFFING, pseudospectral(DUFFING, sample_time=0.1, N=order, L=8), 100, 0.1, guess={"guess.theta": 0.1}
+        )
         return errors[20:].max()
 
     errors = np.array([worst(order) for order in (5, 7, 9, 11, 13)])
@@ -203,7 +233,10 @@ def test_200_random_first_guesses_all_converge():
 def started(samples=20, observer=None, **parameters):
     """A Duffing observer after `samples` clean samples, and the plant beside it."""
     p = Instance(plant(DUFFING))
-    o = Instance(observer or pseudospectral(DUFFING, sample_time=0.1), {name.replace("__", "."): v for name, v in parameters.items()})
+    o = Instance(
+        observer or pseudospectral(DUFFING, sample_time=0.1),
+        {name.replace("__", "."): v for name, v in parameters.items()},
+    )
     for k in range(samples):
         o.set("y", p.get("y"))
         p.step(0.1 * k, 0.1)
@@ -317,6 +350,8 @@ def test_before_enough_samples_the_estimate_is_the_propagated_guess():
     for k in range(2):
         run.set("y", 0.7)
         run.step(0.1 * k, 0.1)
-    free = solve_ivp(lambda t, x: DUFFING_RHS(t, x, 0.1), (0, 0.2), [0.3, -0.2], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    free = solve_ivp(
+        lambda t, x: DUFFING_RHS(t, x, 0.1), (0, 0.2), [0.3, -0.2], method="DOP853", rtol=1e-12, atol=1e-13
+    ).y[:, -1]
     np.testing.assert_allclose([run.get("estimate.x1"), run.get("estimate.x2")], free, atol=1e-11)
     assert run.get("diagnostics.status") == CODE.propagated_guess

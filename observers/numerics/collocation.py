@@ -54,8 +54,12 @@ class Window:
         P = lgl.interpolation_exact(self.order, np.array(points, dtype=object))
         Ph = np.kron(P[:, :1], np.eye(nx, dtype=int)) + _spread(P[:, 1:], self.Phi, nx)
         Ps = _spread(P[:, 1:], self.Psi, nx)
-        Xi = forced_response(self.split.A, self.split.B, self.sample_time, self.samples, np.asarray(times), self.input_kind)
-        keep = (np.arange(len(times))[:, None] * nx + np.arange(nx)[states if states is not None else slice(None)]).ravel()
+        Xi = forced_response(
+            self.split.A, self.split.B, self.sample_time, self.samples, np.asarray(times), self.input_kind
+        )
+        keep = (
+            np.arange(len(times))[:, None] * nx + np.arange(nx)[states if states is not None else slice(None)]
+        ).ravel()
         return rounded(Ph[keep]), rounded(Ps[keep]), Xi[keep]
 
     def inputs_at(self, times: np.ndarray) -> np.ndarray:
@@ -81,7 +85,11 @@ def window(split: Split, order: int, samples: int, sample_time: float, input_kin
     integrate = table(matrix(lgl.differentiation_exact(order)[1:, 1:]).inv())  # A1: rates at the nodes to states
     S = matrix(np.eye(order * nx, dtype=int) - half * np.kron(integrate, _whole(split.A)))
     Phi = table(S.solve(matrix(np.kron(np.ones((order, 1)), np.eye(nx)))))
-    Psi = table(S.solve(matrix(half * np.kron(integrate, _whole(split.E))))) if nv else np.empty((order * nx, 0), dtype=object)
+    Psi = (
+        table(S.solve(matrix(half * np.kron(integrate, _whole(split.E)))))
+        if nv
+        else np.empty((order * nx, 0), dtype=object)
+    )
     return Window(order, samples, sample_time, split, input_kind, Phi, Psi)
 
 

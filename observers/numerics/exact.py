@@ -57,7 +57,9 @@ def rounded(array: np.ndarray) -> np.ndarray:
     radius = max((float(x.rad()) for x in entries), default=0.0)
     largest = np.abs(values).max(initial=0.0)
     if not radius <= TRUSTED * max(largest, 1.0):
-        raise ValueError(f"constants of the window are lost to ill-conditioning: known to {radius:.1e}, largest {largest:.1e}")
+        raise ValueError(
+            f"constants of the window are lost to ill-conditioning: known to {radius:.1e}, largest {largest:.1e}"
+        )
     return values.reshape(array.shape)
 
 

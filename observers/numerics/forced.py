@@ -9,7 +9,9 @@ from observers.numerics.exact import in_high_precision, matrix, rounded, table
 
 
 @in_high_precision
-def forced_response(A: np.ndarray, B: np.ndarray, sample_time: float, samples: int, times: np.ndarray, kind: str) -> np.ndarray:
+def forced_response(
+    A: np.ndarray, B: np.ndarray, sample_time: float, samples: int, times: np.ndarray, kind: str
+) -> np.ndarray:
     """The matrix (len(times) nx) x (count nu) from the stacked input values to the stacked c at `times` in [0, samples * sample_time].
 
     `kind` "held": count = samples, u_i holds on [i Ts, (i + 1) Ts). "linear": count = samples + 1, u_i at i Ts. By the

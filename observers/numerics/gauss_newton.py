@@ -85,7 +85,9 @@ def known_terms(problem: LeastSquares) -> tuple[ca.Function, list[int]]:
     t, p, U = ca.MX.sym("t"), ca.MX.sym("p", problem.n_parameters), ca.MX.sym("U", count * nu)
     XiQ = w.at(nodes, w.split.states)[2]
     xi_points = w.at(problem.points)[2]
-    offset = product(np.kron(np.eye(len(problem.points)), problem.output.A), xi_points) + np.kron(at_points, problem.output.B)
+    offset = product(np.kron(np.eye(len(problem.points)), problem.output.A), xi_points) + np.kron(
+        at_points, problem.output.B
+    )
     XiH = w.at(problem.points, problem.output.states)[2]
 
     def terms(part: Pointwise, weights: np.ndarray, times: np.ndarray) -> ca.MX:
@@ -98,13 +100,20 @@ def known_terms(problem: LeastSquares) -> tuple[ca.Function, list[int]]:
     def response(matrix: np.ndarray) -> ca.MX:
         return ca.MX(ca.DM(matrix)) @ U if matrix.size and matrix.any() else ca.MX(ca.DM.zeros(matrix.shape[0], 1))
 
-    parts = [response(XiQ), terms(rates, at_nodes, nodes), response(offset), ca.vertcat(response(XiH), terms(rest, at_points, problem.points))]
+    parts = [
+        response(XiQ),
+        terms(rates, at_nodes, nodes),
+        response(offset),
+        ca.vertcat(response(XiH), terms(rest, at_points, problem.points)),
+    ]
     lengths = [part.numel() for part in parts]
     function = ca.Function("known_terms", [t, U, p], [ca.vertcat(*parts)])
     return (function.expand() if problem.is_small else function), lengths
 
 
-def _split_data(problem: LeastSquares, data: Any, lengths: list[int]) -> tuple[list[Any], list[Any], list[Any], list[Any], list[Any]]:
+def _split_data(
+    problem: LeastSquares, data: Any, lengths: list[int]
+) -> tuple[list[Any], list[Any], list[Any], list[Any], list[Any]]:
     """The data's parts by node and by point: CQ_j, e_j; offset_i, CH_i, eh_i."""
     cuts = np.cumsum([0, *lengths])
     CQ, e, offset, rest = (data[int(a) : int(b)] for a, b in zip(cuts[:-1], cuts[1:], strict=True))
@@ -132,7 +141,11 @@ def output_residual(problem: LeastSquares, lengths: list[int]) -> ca.Function:
     """Function residual(V, s, data, p, y) -> h(points) - y, stacked (ny m)."""
     kind = ca.SX if problem.is_small else ca.MX
     V, s, data, p, y = _symbols(problem, lengths, kind)
-    return ca.Function("residual", [V, s, data, p, y], [ca.vertcat(*[r for r, _ in _measured(problem, lengths, kind, V, s, data, p, y, None)])])
+    return ca.Function(
+        "residual",
+        [V, s, data, p, y],
+        [ca.vertcat(*[r for r, _ in _measured(problem, lengths, kind, V, s, data, p, y, None)])],
+    )
 
 
 def newton_step(problem: LeastSquares, lengths: list[int]) -> ca.Function:
@@ -161,7 +174,13 @@ def newton_step(problem: LeastSquares, lengths: list[int]) -> ca.Function:
 
 
 def _symbols(problem: LeastSquares, lengths: list[int], kind: Any) -> tuple[Any, ...]:
-    counts = (problem.n_rates, problem.nx + problem.n_theta, sum(lengths), problem.n_parameters, problem.ny * len(problem.points))
+    counts = (
+        problem.n_rates,
+        problem.nx + problem.n_theta,
+        sum(lengths),
+        problem.n_parameters,
+        problem.ny * len(problem.points),
+    )
     return tuple(kind.sym(name, count) for name, count in zip(("V", "s", "data", "p", "y"), counts, strict=True))
 
 
@@ -194,7 +213,15 @@ def _condense(problem: LeastSquares, lengths: list[int], kind: Any, V: Any, s: A
 
 
 def _measured(
-    problem: LeastSquares, lengths: list[int], kind: Any, V: Any, s: Any, data: Any, p: Any, y: Any, sol: list[Any] | None
+    problem: LeastSquares,
+    lengths: list[int],
+    kind: Any,
+    V: Any,
+    s: Any,
+    data: Any,
+    p: Any,
+    y: Any,
+    sol: list[Any] | None,
 ) -> list[tuple[Any, Any]]:
     """(r, M) by groups of measured points: residual h - y and, where `sol` is given, its derivative with respect to [1; s]."""
     rest, nx, ny, m = problem.output_rest, problem.nx, problem.ny, len(problem.points)
@@ -236,7 +263,9 @@ def _sensitivity(kind: Any, Ph: np.ndarray, Ps: np.ndarray, sol: list[Any], n_th
     column = 0
     for block in sol:
         n = block.shape[0]
-        total = _multiply_add(Ph.shape[0], n, block.shape[1], 1.0)(total, kind(ca.DM(Ps[:, column : column + n])), block)
+        total = _multiply_add(Ph.shape[0], n, block.shape[1], 1.0)(
+            total, kind(ca.DM(Ps[:, column : column + n])), block
+        )
         column += n
     return total
 
@@ -276,7 +305,9 @@ def _function(name: str, *shapes: tuple[int, int]) -> Callable[[Callable[..., An
 
 @cache
 def _multiply_add(n: int, k: int, m: int, sign: float) -> ca.Function:
-    return _function(f"gemm_{n}_{k}_{m}{'' if sign > 0 else '_sub'}", (n, m), (n, k), (k, m))(lambda c, a, b: c + sign * ca.mtimes(a, b))
+    return _function(f"gemm_{n}_{k}_{m}{'' if sign > 0 else '_sub'}", (n, m), (n, k), (k, m))(
+        lambda c, a, b: c + sign * ca.mtimes(a, b)
+    )
 
 
 @cache
@@ -351,7 +382,9 @@ def _chain(n: int, nh: int, size: int, m: int) -> ca.Function:
     """blk(slopes) moved, with the slopes stacked (size n x nh)."""
 
     def body(slope: ca.SX, moved: ca.SX) -> ca.SX:
-        return ca.vertcat(*[ca.mtimes(slope[i * n : (i + 1) * n, :], moved[i * nh : (i + 1) * nh, :]) for i in range(size)])
+        return ca.vertcat(
+            *[ca.mtimes(slope[i * n : (i + 1) * n, :], moved[i * nh : (i + 1) * nh, :]) for i in range(size)]
+        )
 
     return _function(f"chain_{n}_{nh}_{size}_{m}", (size * n, nh), (size * nh, m))(body)
 

@@ -68,5 +68,7 @@ def _constant_entries(f: ca.SX, symbols: ca.SX) -> np.ndarray:
 
 
 def _used(expression: ca.SX, symbols: ca.SX) -> list[int]:
-    pattern: Sequence[bool] = ca.which_depends(expression, symbols, 1, False) if expression.numel() and symbols.numel() else []
+    pattern: Sequence[bool] = (
+        ca.which_depends(expression, symbols, 1, False) if expression.numel() and symbols.numel() else []
+    )
     return [j for j, used in enumerate(pattern) if used]

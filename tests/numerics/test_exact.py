@@ -37,6 +37,8 @@ def test_the_constants_do_not_depend_on_the_machines_linear_algebra():
     found = set()
     for core in ("Nehalem", "Sandybridge", "Haswell"):
         environment = {**os.environ, "OPENBLAS_CORETYPE": core}
-        run = subprocess.run([sys.executable, "-c", CONSTANTS], env=environment, capture_output=True, text=True, check=True)
+        run = subprocess.run(
+            [sys.executable, "-c", CONSTANTS], env=environment, capture_output=True, text=True, check=True
+        )
         found.add(run.stdout)
     assert len(found) == 1

@@ -52,7 +52,9 @@ def test_interpolation_at_the_nodes_is_the_identity_and_repeats_bit_for_bit():
 def test_differentiation_converges_spectrally_on_an_analytic_function():
     def error(order):
         tau = lgl.nodes(order)
-        return np.abs(lgl.differentiation(order) @ np.exp(np.sin(3 * tau)) - 3 * np.cos(3 * tau) * np.exp(np.sin(3 * tau))).max()
+        return np.abs(
+            lgl.differentiation(order) @ np.exp(np.sin(3 * tau)) - 3 * np.cos(3 * tau) * np.exp(np.sin(3 * tau))
+        ).max()
 
     errors = np.array([error(order) for order in (8, 16, 24, 32)])
     ratios = errors[:-1] / errors[1:]

@@ -14,7 +14,9 @@ def test_lu_solves_as_scipy_does(n):
     A, b = np.eye(n) + 0.5 * rng.standard_normal((n, n)) / n, rng.standard_normal((n, 3))
     sym_A, sym_b = ca.SX.sym("A", n, n), ca.SX.sym("b", n, 3)
     LU = linear.lu_factor(sym_A)
-    solve = ca.Function("f", [sym_A, sym_b], [linear.backward(LU, linear.forward(LU, sym_b)), linear.right_solve(LU, sym_b.T)])
+    solve = ca.Function(
+        "f", [sym_A, sym_b], [linear.backward(LU, linear.forward(LU, sym_b)), linear.right_solve(LU, sym_b.T)]
+    )
     x, right = solve(A, b)
     np.testing.assert_allclose(x.full(), reference.solve(A, b), rtol=1e-12, atol=1e-13)
     upper = np.triu(ca.Function("g", [sym_A], [LU])(A).full())

@@ -21,7 +21,9 @@ def test_the_split_moves_constant_terms_out_and_keeps_the_sum():
     np.testing.assert_array_equal(parts.A, [[0, 2, 0], [1, 0, -0.5], [0, 0, 0]])
     np.testing.assert_array_equal(parts.B, [[-3, 0], [4, 0], [0, 0]])
     assert (parts.rows, parts.states, parts.inputs) == ([1, 2], [0, 1], [1])
-    whole = ca.Function("whole", [x, u, p, t], [f - ca.DM(parts.A) @ x - ca.DM(parts.B) @ u - ca.DM(parts.E) @ parts.phi])
+    whole = ca.Function(
+        "whole", [x, u, p, t], [f - ca.DM(parts.A) @ x - ca.DM(parts.B) @ u - ca.DM(parts.E) @ parts.phi]
+    )
     rng = np.random.default_rng(0)
     assert np.abs(whole(rng.normal(size=3), rng.normal(size=2), 0.7, 1.3).full()).max() < 1e-14
 
@@ -48,7 +50,14 @@ def test_the_forced_response_is_exact_for_a_held_and_a_linear_input(kind):
         for end in [*[k * Ts for k in range(L + 1) if at < k * Ts < time], time]:
             if end > at:
                 middle = lambda t, a=at, b=end: u(min(max(t, a + 1e-12), b - 1e-7 * (b - a)))  # noqa: E731
-                run = solve_ivp(lambda t, x, m=middle: A @ x + B[:, 0] * m(t), (at, end), state, rtol=1e-12, atol=1e-13, method="DOP853")
+                run = solve_ivp(
+                    lambda t, x, m=middle: A @ x + B[:, 0] * m(t),
+                    (at, end),
+                    state,
+                    rtol=1e-12,
+                    atol=1e-13,
+                    method="DOP853",
+                )
                 state, at = run.y[:, -1], end
         expected.append(state)
     np.testing.assert_allclose(found, expected, atol=2e-9)
