@@ -1,4 +1,4 @@
-"""Example 1 by three ways: the FMU natively, the FMU from Python, IPOPT; by turns, so that a drifting machine is fair."""
+"""Example 1 by three ways: the FMU natively, the FMU from Python, IPOPT; by turns, to be fair on a drifting machine."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def compare(
     """Time the three ways in `rounds` rounds; `progress` is called after each with the number of rounds done.
 
     Raises:
-        BenchmarkError: one of them failed.
+        BenchmarkError, RunError: one of them failed.
     """
     work = experiment(SAMPLE_TIME)
     solver = estimator(DUFFING, GUESS, sample_time=SAMPLE_TIME, N=N, L=L)

@@ -7,7 +7,7 @@ def ideal_flops(N: int, L: int, iterations: float) -> float:
     """Additions and multiplications of one sample with `iterations` Gauss-Newton steps.
 
     n = N rates (one equation is nonlinear, in one state), two first states and theta to find, m = L + 1 samples of one
-    output. Counted are the dense products and the elimination; the cosines and the model's own polynomials are left out.
+    output. Counted are the dense products and the elimination, not the cosines and the model's own polynomials.
     """
     n, m, states, columns = N, L + 1, 2, 4  # columns: the residual, two first states, theta
     trajectory = 2 * n * (n + states)  # the state at the nodes from the first state and the rates

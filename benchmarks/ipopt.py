@@ -35,7 +35,7 @@ OPTIONS: dict[str, Any] = {
 class Estimator:
     """The solver and what it needs between two samples.
 
-    `solver`: unknowns are the states at the nodes 0..N, then theta; parameters L + 1 samples, then the window's start [s].
+    `solver`: unknowns are the states at the nodes 0..N, then theta; parameters L + 1 samples, then its start [s].
     `shift(unknowns, t)`: the warm start of the next window, from the solution of the one that ends at t. `first`: the
     first guess. `samples`: L. `sample_time`: Ts [s]. `estimated`: nx + nt.
     """

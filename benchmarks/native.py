@@ -97,15 +97,15 @@ def command(
         str(driver),
         str(library.resolve()),
         fmu.description.guid,
-        repr(experiment.step),
+        repr(float(experiment.step)),
         str(runs),
         str(samples),
         str(directory / "record.bin"),
         str(fmu.references([experiment.input])[0]),
         ",".join(map(str, fmu.references(experiment.outputs))),
         *(
-            f"{reference}={experiment.start[name]!r}"
-            for name, reference in zip(experiment.start, fmu.references(list(experiment.start)), strict=True)
+            f"{reference}={float(experiment.start[name])!r}"
+            for name, reference in zip(experiment.start, fmu.references(experiment.start), strict=True)
         ),
     ]
 

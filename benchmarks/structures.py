@@ -23,9 +23,9 @@ RUNS = 15  # of the whole 50 s
 
 @dataclass(frozen=True)
 class Cost:
-    """Per sample: nanoseconds (median over RUNS), Gauss-Newton iterations, ideal flops, instructions (None without valgrind).
+    """Per sample: nanoseconds (median over RUNS), Gauss-Newton iterations, ideal flops, instructions.
 
-    `library_bytes`: the size of the shared library.
+    `instructions` is None where valgrind is missing. `library_bytes`: the size of the shared library.
     """
 
     ns: float
@@ -39,7 +39,8 @@ def cost(N: int, L: int, sample_time: float, driver: Path, directory: Path) -> C
     """Build the observer of this structure into `directory` and drive it for the 50 s of Example 1, start included.
 
     Raises:
-        ExportError, BenchmarkError: it cannot be built, it fails.
+        ExportError: it cannot be built.
+        BenchmarkError, RunError: it fails.
     """
     component = pseudospectral(DUFFING, sample_time=sample_time, N=N, L=L, name=f"observer_{N}_{L}")
     fmu = unpack(export(component, directory), directory / component.name)

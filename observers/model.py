@@ -21,6 +21,8 @@ from typing import Any
 
 import casadi as ca
 
+from observers.numerics.equations import Equations
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 
 
@@ -69,25 +71,6 @@ class Names:
         except KeyError:
             known = ", ".join(self._symbols) or "none"
             raise ModelError(f"there is no {self._group} '{name}'; known: {known}") from None
-
-
-@dataclass(frozen=True)
-class Equations:
-    """A model's equations as CasADi SX columns.
-
-    Symbols `x` (nx), `z` (nz), `u` (nu), `w` (nw), `p` (np), `theta` (nt), `t`; expressions `ode` (nx), `algebraic` (nz), `output` (ny).
-    """
-
-    x: ca.SX
-    z: ca.SX
-    u: ca.SX
-    w: ca.SX
-    p: ca.SX
-    theta: ca.SX
-    t: ca.SX
-    ode: ca.SX
-    algebraic: ca.SX
-    output: ca.SX
 
 
 @dataclass(frozen=True)

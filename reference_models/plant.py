@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 
@@ -142,8 +143,6 @@ def plant(
 
 
 def _port(name: str, like: Variable, variability: str, description: str = "") -> Port:
-    """A port called `name` with the unit, start, nominal and bounds of `like`."""
-    bounds = {} if variability == "continuous" else {"min": like.min, "max": like.max}
-    return Port(
-        name, description or like.description, like.unit, like.start, like.nominal, **bounds, variability=variability
-    )
+    """A port called `name` with the unit, start and nominal of `like`; a parameter has its bounds too."""
+    port = Port(name, description or like.description, like.unit, like.start, like.nominal, variability=variability)
+    return port if variability == "continuous" else replace(port, min=like.min, max=like.max)

@@ -56,7 +56,7 @@ import fmpy
 from conftest import Slave
 from test_observer_fmu import advance
 slave = Slave(fmpy.extract({str(catalogue / "fmus" / (NAME + ".fmu"))!r}, {str(tmp_path / "unpacked")!r})).initialize()
-handle = slave.fmu.deSerializeFMUState(open({str(tmp_path / "state")!r}, "rb").read())
+handle = slave.fmu.deSerializeFMUstate(open({str(tmp_path / "state")!r}, "rb").read())
 slave.fmu.setFMUState(handle)
 advance(slave, 60, 40)
 print(repr(slave.outputs()))

@@ -117,11 +117,11 @@ def test_nonlinear_outputs_two_unknowns_and_an_input_inside_the_nonlinearity_are
 
 
 def test_the_tiled_step_and_the_straight_line_step_are_the_same_algorithm(monkeypatch):
-    from observers.numerics import gauss_newton
+    from observers.numerics import least_squares
 
     runs = []
-    for small in (gauss_newton.SMALL, 0):
-        monkeypatch.setattr(gauss_newton, "SMALL", small)
+    for small in (least_squares.SMALL, 0):
+        monkeypatch.setattr(least_squares, "SMALL", small)
         observer = pseudospectral(NONLINEAR, sample_time=0.1, N=7, L=6)
         run = Instance(observer)
         rng = np.random.default_rng(2)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from observers.model import Equations
+from observers.numerics.equations import Equations
 from observers.numerics.semilinear import Split
 
 

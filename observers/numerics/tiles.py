@@ -1,0 +1,83 @@
+"""Dense kernels as functions of scalars, each existing once for each shape, and an LU factorisation by tiles made of them.
+
+However many tiles there are, the generated C holds each kernel once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import casadi as ca
+
+from observers.numerics import linear
+
+TILE = 10  # rows of a tile
+
+
+def sizes(total: int, each: int) -> list[int]:
+    """`total` in groups of `each` and a last one of what is left."""
+    return [each] * (total // each) + ([total % each] if total % each else [])
+
+
+def solve_tiles(A: list[list[Any]], b: list[Any]) -> list[Any]:
+    """LU without pivoting on a square grid of tiles (one tile: plain LU)."""
+    n, m = len(A), b[0].shape[1]
+    rows = [tile.shape[0] for tile in b]
+    for k in range(n):
+        A[k][k] = _factor(rows[k])(A[k][k])
+        for j in range(k + 1, n):
+            A[k][j] = _forward(rows[k], rows[j])(A[k][k], A[k][j])
+        b[k] = _forward(rows[k], m)(A[k][k], b[k])
+        for i in range(k + 1, n):
+            A[i][k] = _right(rows[i], rows[k])(A[k][k], A[i][k])
+            for j in range(k + 1, n):
+                A[i][j] = multiply_add(rows[i], rows[k], rows[j], -1.0)(A[i][j], A[i][k], A[k][j])
+            b[i] = multiply_add(rows[i], rows[k], m, -1.0)(b[i], A[i][k], b[k])
+    for k in reversed(range(n)):
+        for j in range(k + 1, n):
+            b[k] = multiply_add(rows[k], rows[j], m, -1.0)(b[k], A[k][j], b[j])
+        b[k] = _backward(rows[k], m)(A[k][k], b[k])
+    return b
+
+
+def function(name: str, *shapes: tuple[int, int]) -> Callable[[Callable[..., Any]], ca.Function]:
+    def build(body: Callable[..., Any]) -> ca.Function:
+        arguments = [ca.SX.sym(f"a{i}", *shape) for i, shape in enumerate(shapes)]
+        result = body(*arguments)
+        return ca.Function(name, arguments, list(result) if isinstance(result, tuple) else [result])
+
+    return build
+
+
+@cache
+def multiply_add(n: int, k: int, m: int, sign: float) -> ca.Function:
+    return function(f"gemm_{n}_{k}_{m}{'' if sign > 0 else '_sub'}", (n, m), (n, k), (k, m))(
+        lambda c, a, b: c + sign * ca.mtimes(a, b)
+    )
+
+
+@cache
+def product(n: int, m: int) -> ca.Function:
+    return function(f"gemv_{n}_{m}", (n, m), (m, 1))(ca.mtimes)
+
+
+@cache
+def _factor(n: int) -> ca.Function:
+    return function(f"getrf_{n}", (n, n))(linear.lu_factor)
+
+
+@cache
+def _forward(n: int, m: int) -> ca.Function:
+    return function(f"forward_{n}_{m}", (n, n), (n, m))(linear.forward)
+
+
+@cache
+def _backward(n: int, m: int) -> ca.Function:
+    return function(f"backward_{n}_{m}", (n, n), (n, m))(linear.backward)
+
+
+@cache
+def _right(m: int, n: int) -> ca.Function:
+    return function(f"right_{m}_{n}", (n, n), (m, n))(linear.right_solve)

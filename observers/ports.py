@@ -1,0 +1,75 @@
+"""The ports that every observer of a model has: the names of design and documentation, made in one place.
+
+Inputs are the model's outputs, then its known inputs. `estimate.*` is of the current time, `filtered.*` of the last sample instant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from observers.component import Port
+from observers.model import Model, Variable
+
+COUNTERS = (
+    Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
+    Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
+)
+
+
+def last_name(port: Port) -> str:
+    """The part of a structured name behind its last dot."""
+    return port.name.rsplit(".", 1)[-1]
+
+
+def inputs(model: Model) -> tuple[Port, ...]:
+    """Measurements, then known inputs, by the model's names."""
+    return (
+        *(_like(v.name, v, "measured", "continuous") for v in model.outputs),
+        *(_like(v.name, v, "known input:", "continuous") for v in model.inputs),
+    )
+
+
+def guesses(model: Model) -> tuple[Port, ...]:
+    """`guess.<state or unknown parameter>`: the first guess."""
+    return tuple(_like(f"guess.{v.name}", v, "first guess of the", "fixed") for v in _estimated(model))
+
+
+def known_parameters(model: Model) -> tuple[Port, ...]:
+    """`model.<parameter>`."""
+    return tuple(_like(f"model.{v.name}", v, "", "tunable") for v in model.parameters)
+
+
+def estimates(model: Model) -> tuple[Port, ...]:
+    """`estimate.<...>` of the current time, then `filtered.<...>` of the last sample instant."""
+    return (
+        *(_like(f"estimate.{v.name}", v, "estimated current", "continuous") for v in _estimated(model)),
+        *(
+            _like(f"filtered.{v.name}", v, "estimate at the last sample instant of the", "discrete")
+            for v in _estimated(model)
+        ),
+    )
+
+
+def innovations(model: Model) -> tuple[Port, ...]:
+    """`diagnostics.innovation`, or `diagnostics.innovation[i]` for several outputs."""
+    several = len(model.outputs) > 1
+    return tuple(
+        Port(
+            f"diagnostics.innovation[{i}]" if several else "diagnostics.innovation",
+            f"measured minus predicted {v.description or v.name}",
+            v.unit,
+            nominal=v.nominal,
+            variability="discrete",
+        )
+        for i, v in enumerate(model.outputs, start=1)
+    )
+
+
+def _estimated(model: Model) -> tuple[Variable, ...]:
+    return (*model.states, *model.unknown_parameters)
+
+
+def _like(name: str, v: Variable, text: str, variability: str) -> Port:
+    """A port called `name` with the unit, start and nominal of `v`; a parameter has its bounds too."""
+    port = Port(name, f"{text} {v.description or v.name}".strip(), v.unit, v.start, v.nominal, variability=variability)
+    return replace(port, min=v.min, max=v.max) if variability in ("fixed", "tunable") else port
