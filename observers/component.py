@@ -31,7 +31,8 @@ class Port(Variable):
     """A variable of a component: a Variable with the FMI attributes that depend on its use.
 
     `kind` is "Real", "Integer" or "Enumeration" (then `enumeration` says which); all travel as doubles. `variability` is "continuous" or
-    "discrete" (inputs, outputs), "tunable" or "fixed" (parameters), "constant" (constants). `local` marks an output that is shown, not connected.
+    "discrete" (inputs, outputs), "tunable" or "fixed" (parameters), "constant" (constants). `local` marks an output
+    that is shown, not connected.
     """
 
     kind: str = "Real"
@@ -120,7 +121,8 @@ class Component:
             found = [function.numel_in(i) for i in range(function.n_in())]
             if found != arguments or function.numel_out(0) != result:
                 raise ValueError(
-                    f"component '{self.name}': {name} maps sizes {found} to {function.numel_out(0)}, the ports ask for {arguments} to {result}"
+                    f"component '{self.name}': {name} maps sizes {found} to {function.numel_out(0)}, "
+                    f"the ports ask for {arguments} to {result}"
                 )
 
     def __str__(self) -> str:

@@ -1,7 +1,7 @@
 """The Python face of a component: the same functions and the same time semantics as the FMU's shell, step by step.
 
-Time is counted, never accumulated: sample instants are t0 + k Ts, and every time that a master hands in is snapped first to whole nanoseconds
-and then to a sample instant nearby, so that masters which accumulate, multiply or round times get identical bits.
+Time is counted, never accumulated: sample instants are t0 + k Ts, and every time that a master hands in is snapped first to whole
+nanoseconds and then to a sample instant nearby, so that masters which accumulate, multiply or round times get identical bits.
 """
 
 from __future__ import annotations
@@ -132,5 +132,5 @@ class Instance:
             raise ValueError(f"{self.component.name}: {name} = {value:g} lies outside [{port.min:g}, {port.max:g}]")
         self.p[self._p_index[name]] = value
 
-    def _call(self, function: str, *arguments: object) -> np.ndarray:
-        return self.component.functions[function](*arguments).full().ravel()
+    def _call(self, function: str, *arguments: np.ndarray | float) -> np.ndarray:
+        return np.asarray(self.component.functions[function].call(list(arguments))[0].full()).ravel()

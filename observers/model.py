@@ -184,7 +184,12 @@ class Model:
             return ca.vertcat(*group.values()) if group else ca.SX(0, 1)
 
         made = Equations(
-            *map(column, (x, z, u, w, p, theta)),
+            x=column(x),
+            z=column(z),
+            u=column(u),
+            w=column(w),
+            p=column(p),
+            theta=column(theta),
             t=t,
             ode=evaluate("ode", self.ode, self.states),
             algebraic=evaluate("algebraic_equations", self.algebraic_equations, self.algebraic)

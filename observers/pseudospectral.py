@@ -202,7 +202,10 @@ def pseudospectral(
     measured += [s.conditioning, s.node0_residual, s.rejected, s.failures]
     return Component(
         name=name or f"{model.name}_pseudospectral",
-        description=f"Pseudospectral moving-horizon observer for {model.name} (Gong, Ross & Kang 2007), N = {N}, L = {L}, Ts = {sample_time:g} s",
+        description=(
+            f"Pseudospectral moving-horizon observer for {model.name} (Gong, Ross & Kang 2007), "
+            f"N = {N}, L = {L}, Ts = {sample_time:g} s"
+        ),
         start=ca.Function("start", [p, t], [state.pack(start)]),
         flow=ca.Function(
             "flow", [z, u, p, t, h], [state.replace(z, x=moved, input_integral=s.input_integral + h * known)]
@@ -404,9 +407,10 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
 def _documentation(model: Model, N: int, L: int, sample_time: float, cost: str) -> str:
     where = "at the sample instants" if cost == "samples" else "through a cubic spline at the nodes, as in the paper"
     return (
-        f"<p>At every sample instant the trajectory of the model {model.name} that fits the last {L + 1} samples best ({where}) is computed as a "
-        f"polynomial of order {N} on Legendre-Gauss-Lobatto nodes (Gong, Ross and Kang, DCDS-B 8 (3), 2007). Its end is the estimate, which follows "
-        f"the model until the next sample. Connect the measurements and the known inputs, and step with at most the sample time, {sample_time:g} s.</p>"
+        f"<p>At every sample instant the trajectory of the model {model.name} that fits the last {L + 1} samples best ({where}) is "
+        f"computed as a polynomial of order {N} on Legendre-Gauss-Lobatto nodes (Gong, Ross and Kang, DCDS-B 8 (3), 2007). Its end is "
+        "the estimate, which follows the model until the next sample. Connect the measurements and the known inputs, and step with at "
+        f"most the sample time, {sample_time:g} s.</p>"
         "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
         "<code>filtered.*</code> of the last sample instant.</p>"
     )

@@ -27,7 +27,8 @@ def plant(
 
     States are outputs `x.<state>`, unknown parameters outputs `x.<name>` too (their true value now). Parameters: `start.<state>`,
     `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
-    `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform), `sensor.noise_std`
+    `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform),
+    `sensor.noise_std`
     (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
 
     Args:
@@ -84,8 +85,8 @@ def plant(
     p_all = ca.vertcat(*p.values())
     nx, ny = len(model.states), len(model.outputs)
     x, u, t, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(model.inputs)), ca.SX.sym("t"), ca.SX.sym("h")
-    z = ca.vertcat(x, ca.SX.sym("v", ny), ca.SX.sym("s", 2))
-    v, stream = z[nx : nx + ny], z[nx + ny :]
+    noise_now, stream = ca.SX.sym("noise", ny), ca.SX.sym("stream", 2)
+    z = ca.vertcat(x, noise_now, stream)
     eq = model.equations
     known = ca.vertcat(*[p[f"model.{q.name}"] for q in model.parameters])
     rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
@@ -121,10 +122,10 @@ def plant(
         name=model.name,
         description=model.description or f"plant {model.name}",
         start=ca.Function("start", [p_all, t], [ca.vertcat(x_start, first_noise, first_stream)]),
-        flow=ca.Function("flow", [z, u, p_all, t, h], [ca.vertcat(moved, v, stream)]),
+        flow=ca.Function("flow", [z, u, p_all, t, h], [ca.vertcat(moved, noise_now, stream)]),
         jump=ca.Function("jump", [z, u, p_all, t], [ca.vertcat(x, next_noise, next_stream)]),
         output=ca.Function(
-            "output", [z, u, p_all, t], [ca.vertcat(measure(x, u, known, unknown(t), t) + v, x, unknown(t))]
+            "output", [z, u, p_all, t], [ca.vertcat(measure(x, u, known, unknown(t), t) + noise_now, x, unknown(t))]
         ),
         inputs=tuple(_port(w.name, w, "continuous") for w in model.inputs),
         parameters=parameters,
@@ -135,9 +136,9 @@ def plant(
         stop_time=stop_time,
         step_size=step_size,
         documentation=(
-            f"<p>The model {model.name} as a plant, integrated with Dormand and Prince's eighth-order method in steps of at most {max_step:g} s. "
-            "Measurement noise is made inside the plant by a Lehmer generator that gives the same sequence in every tool: y at the k-th sample "
-            "instant carries the k-th draw.</p>"
+            f"<p>The model {model.name} as a plant, integrated with Dormand and Prince's eighth-order method in steps of at most "
+            f"{max_step:g} s. Measurement noise is made inside the plant by a Lehmer generator that gives the same sequence in every "
+            "tool: y at the k-th sample instant carries the k-th draw.</p>"
         ),
     )
 

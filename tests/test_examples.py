@@ -1,6 +1,7 @@
 """The paper's Examples 1 to 3, through the built FMUs and the master: what they must show."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,7 @@ def test_outputs_are_the_estimate_of_their_own_time_for_random_steps_that_hit_th
     for k in range(200):
         inner = np.sort(rng.uniform(0.1 * k, 0.1 * (k + 1), rng.integers(0, 4)))
         times = [0.1 * k, *inner, 0.1 * (k + 1)]
-        for begin, end in zip(times[:-1], times[1:], strict=True):
+        for begin, end in pairwise(times):
             observer.set("y", plant.get("y"))
             plant.step(begin, end - begin)
             observer.step(begin, end - begin)

@@ -5,7 +5,8 @@ With f = A x + B u + E phi the collocation equations at the nodes 1..N,
     sum_j D_kj X_j = (delta / 2) f(X_k)        (Gong, Ross & Kang 2007, (16) without node 0)
 
 are linear in the first state x0 and the rates V_k = phi(X_k), so that X = Phi x0 + Psi V exactly, with constant Phi and Psi. (16) at all
-N + 1 nodes is overdetermined: D has rank N. The forced response to B u is exact and apart: a held input has kinks that no polynomial follows.
+N + 1 nodes is overdetermined: D has rank N. The forced response to B u is exact and apart: a held input has
+kinks that no polynomial follows.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def _rows(group: list[Any], start: int, size: int) -> Any:
 
 def output_residual(problem: LeastSquares) -> ca.Function:
     """Function residual(V, s, data, p, y) -> h(points) - y, stacked (ny m)."""
-    kind = ca.SX if problem.is_small else ca.MX
+    kind: Any = ca.SX if problem.is_small else ca.MX
     V, s, data, p, y = _symbols(problem, kind)
     return ca.Function(
         "residual",
@@ -43,7 +43,7 @@ def newton_step(problem: LeastSquares) -> ca.Function:
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the weighted sum of squares that the linearisation predicts
     after the step, `conditioning` in [0, 1] the smallest pivot of the scaled normal matrix over the largest.
     """
-    kind = ca.SX if problem.is_small else ca.MX
+    kind: Any = ca.SX if problem.is_small else ca.MX
     V, s, data, p, y = _symbols(problem, kind)
     w, lam = kind.sym("w", problem.ny * len(problem.points)), kind.sym("lam")
     sol = _condense(problem, kind, V, s, data, p)

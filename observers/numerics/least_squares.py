@@ -66,8 +66,8 @@ class LeastSquares:
 def known_terms(problem: LeastSquares) -> ca.Function:
     """Function known_terms(t_start, U, p) -> data: everything that stays fixed within a sample.
 
-    The parts of `data`: forced response of the Q states at the nodes (nq N), known terms of phi at the nodes (ne N), C Xi U + D u at the points
-    (ny m), forced response and known terms of h_n at the points ((nqh + neh) m). U is the stacked inputs of the window.
+    The parts of `data`: forced response of the Q states at the nodes (nq N), known terms of phi at the nodes (ne N), C Xi U + D u at
+    the points (ny m), forced response and known terms of h_n at the points ((nqh + neh) m). U is the stacked inputs of the window.
     """
     w, rates, rest = problem.window, problem.rates, problem.output_rest
     nodes = w.node_times[1:]

@@ -58,7 +58,10 @@ def right_solve(LU: ca.SX, b: ca.SX) -> ca.SX:
 
 
 def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(H^-1 b, pivots) of a symmetric positive definite H (n x n) by L D L'; b (n x 1). The pivots (n x 1) tell how near H is to singular."""
+    """(H^-1 b, pivots) of a symmetric positive definite H (n x n) by L D L'; b (n x 1).
+
+    The pivots (n x 1) tell how near H is to singular.
+    """
     H = ca.densify(ca.SX(H))
     n = H.shape[0]
     L = [[ca.SX(0)] * n for _ in range(n)]

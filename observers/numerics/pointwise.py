@@ -1,4 +1,7 @@
-"""A nonlinear term evaluated at many points of a window: what depends on time and inputs only is computed once per sample, not once per iteration."""
+"""A nonlinear term evaluated at many points of a window.
+
+What depends on time and inputs only is computed once per sample, not once per iteration.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +17,8 @@ from observers.numerics.semilinear import Split
 class Pointwise:
     """The term phi of a Split at one point.
 
-    `known(t, u, p) -> e` are the subexpressions without states and unknown parameters; `value(xq, e, p, theta) -> (phi, phi_x, phi_theta)` is the
-    rest, with its derivatives (nv), (nv x nq), (nv x nt).
+    `known(t, u, p) -> e` are the subexpressions without states and unknown parameters;
+    `value(xq, e, p, theta) -> (phi, phi_x, phi_theta)` is the rest, with its derivatives (nv), (nv x nq), (nv x nt).
     """
 
     known: ca.Function

@@ -14,8 +14,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Split:
-    """f = A x + B u + E phi, with `rows` the rows of f that phi fills (E = identity[:, rows]) and `states` the entries of x that it depends on.
+    """f = A x + B u + E phi.
 
+    `rows` are the rows of f that phi fills (E = identity[:, rows]), `states` and `inputs` the entries of x and u that it depends on.
     A (n x nx), B (n x nu) numeric; phi (nv x 1) a CasADi expression in x[states], u and the remaining symbols of f.
     """
 
@@ -49,7 +50,7 @@ def split(f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
 
 def unreachable(f: ca.SX, h: ca.SX, symbols: ca.SX, x: ca.SX) -> list[int]:
     """Indices of `symbols` (states, or states and parameters, states first) that no output sees, not even through other states."""
-    sees = np.array(ca.DM(ca.jacobian_sparsity(h, symbols)).full()).any(axis=0)
+    sees: np.ndarray = np.any(ca.DM(ca.jacobian_sparsity(h, symbols)).full(), axis=0)
     feeds = np.array(ca.DM(ca.jacobian_sparsity(f, symbols)).full()) != 0  # nx x ns: symbol j enters x_i'
     for _ in range(x.numel()):
         sees = sees | (feeds & sees[: x.numel(), None]).any(axis=0)

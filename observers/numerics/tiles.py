@@ -54,7 +54,7 @@ def function(name: str, *shapes: tuple[int, int]) -> Callable[[Callable[..., Any
 @cache
 def multiply_add(n: int, k: int, m: int, sign: float) -> ca.Function:
     return function(f"gemm_{n}_{k}_{m}{'' if sign > 0 else '_sub'}", (n, m), (n, k), (k, m))(
-        lambda c, a, b: c + sign * ca.mtimes(a, b)
+        lambda c, a, b: c + ca.mtimes(a, b) if sign > 0 else c - ca.mtimes(a, b)
     )
 
 

@@ -28,7 +28,7 @@ def shift(problem: LeastSquares, rhs: ca.Function) -> ca.Function:
     """
     w, rates = problem.window, problem.rates
     nx, nq, ne, N = problem.nx, rates.n_states, rates.n_known, w.order
-    kind = ca.SX if problem.is_small else ca.MX
+    kind: Any = ca.SX if problem.is_small else ca.MX
     V, x0, U, x_last, x_now = (
         kind.sym(*shape)
         for shape in (
@@ -75,7 +75,10 @@ def shift(problem: LeastSquares, rhs: ca.Function) -> ca.Function:
 
 
 def outputs_at_samples(w: Window, measure: ca.Function) -> ca.Function:
-    """outputs(V, x0, theta, p, U, t_start) -> h along the window's trajectory at its sample instants, stacked: stands in for rejected samples."""
+    """outputs(V, x0, theta, p, U, t_start) -> h along the window's trajectory at its sample instants, stacked.
+
+    They stand in for rejected samples, where a spline needs all of them.
+    """
     times = np.arange(w.samples + 1) * w.sample_time
     Ph, Ps, Xi = w.at(times)
     at = w.inputs_at(times)
