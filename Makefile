@@ -25,7 +25,7 @@ setup: $(VENV)/ready
 
 $(VENV)/ready: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --progress-bar on -e ".[test]"
+	$(BIN)/python -m pip install --disable-pip-version-check -e ".[test]"
 	touch $@
 
 clean:

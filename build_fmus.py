@@ -8,6 +8,7 @@ python build_fmus.py --file my_model.py                every Component defined i
 
 from __future__ import annotations
 
+import os
 import runpy
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +31,10 @@ from reference_models.plant import plant
 from reference_models.sine import sine
 
 
+# The paper's first guess (0, 0, 0.1), of a plant that starts at (2, 1, 0.4).
+GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
+
+
 @cache
 def duffing() -> Component:
     return plant(DUFFING, jumps={"theta": 2})
@@ -38,19 +43,23 @@ def duffing() -> Component:
 # FMUs by name: how to make the component, and the plant that drives it in its documentation's figure.
 FMUS: dict[str, tuple[Callable[[], Component], Callable[[], Component] | None]] = {
     "duffing": (duffing, None),
-    "duffing_pseudospectral": (lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8), duffing),
+    "duffing_pseudospectral": (lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8, guess=GUESS), duffing),
     "duffing_pseudospectral_spline": (
         lambda: pseudospectral(
-            DUFFING, sample_time=0.1, N=15, L=8, cost="spline", name="duffing_pseudospectral_spline"
+            DUFFING, sample_time=0.1, N=15, L=8, cost="spline", guess=GUESS, name="duffing_pseudospectral_spline"
         ),
         duffing,
     ),
     "duffing_pseudospectral_3a": (
-        lambda: pseudospectral(DUFFING, sample_time=0.01, N=15, L=80, name="duffing_pseudospectral_3a", stop_time=50.0),
+        lambda: pseudospectral(
+            DUFFING, sample_time=0.01, N=15, L=80, guess=GUESS, name="duffing_pseudospectral_3a", stop_time=50.0
+        ),
         duffing,
     ),
     "duffing_pseudospectral_3b": (
-        lambda: pseudospectral(DUFFING, sample_time=0.5, N=50, L=10, name="duffing_pseudospectral_3b", stop_time=50.0),
+        lambda: pseudospectral(
+            DUFFING, sample_time=0.5, N=50, L=10, guess=GUESS, name="duffing_pseudospectral_3b", stop_time=50.0
+        ),
         duffing,
     ),
     "sine": (sine, None),
@@ -78,7 +87,7 @@ class Recipe:
         )
 
 
-GUESS = {"guess.x1": 0.0, "guess.x2": 0.0, "guess.theta": 0.1}
+START = {"start.x1": 2.0, "start.x2": 1.0}
 JUMPS = {
     "model.theta": 0.4,
     "model.theta_jump_time[1]": 10.0,
@@ -94,13 +103,11 @@ def _gong(
     *,
     stop: float = 50.0,
     step: float = 0.1,
-    **more: Mapping[str, float],
+    plant: Mapping[str, float] | None = None,
+    observer: Mapping[str, float] | None = None,
 ) -> Recipe:
     """An example of Gong, Ross & Kang 2007: the Duffing plant from (2, 1) and an observer that starts at (0, 0, 0.1)."""
-    parameters = {
-        "plant": {"start.x1": 2.0, "start.x2": 1.0, **more.get("plant", {})},
-        "observer": {**GUESS, **more.get("observer", {})},
-    }
+    parameters = {"plant": START | dict(plant or {}), "observer": dict(observer or {})}
     return Recipe(description, {"plant": "duffing", "observer": fmu}, parameters, stop, step)
 
 
@@ -110,7 +117,7 @@ SYSTEMS: dict[str, Recipe] = {
     "gong_example_1_input": Recipe(
         "Example 1 with a known input u = sin t",
         {"source": "sine", "plant": "duffing", "observer": "duffing_pseudospectral"},
-        {"plant": {"start.x1": 2.0, "start.x2": 1.0}, "observer": GUESS},
+        {"plant": START},
         50.0,
         0.1,
         (("source.y", "plant.u"), ("source.y", "observer.u"), ("plant.y", "observer.y")),
@@ -221,7 +228,7 @@ def main(
     except (ExportError, ValueError, KeyError, OSError) as error:
         _fail(str(error.args[0]) if isinstance(error, KeyError) else str(error))
     for path in written:
-        print(f"{path}  {path.stat().st_size / 1024:.0f} KiB")
+        print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")
 
 
 def _fail(message: str) -> NoReturn:

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from benchmarks import callgrind, tables
 from benchmarks.builds import build_times, shell_ns
-from benchmarks.comparison import ROUNDS, compare
+from benchmarks.comparison import NOISE_BOUNDS, NOISY_ROUNDS, ROUNDS, compare
 from benchmarks.errors import BenchmarkError
 from benchmarks.example import SAMPLE_TIME, L, N, experiment
 from benchmarks.flops import ideal_flops
@@ -51,8 +51,11 @@ def _measure_all(scratch: Path) -> None:
     with _progress("compiling the driver", 1):
         driver = build_driver(scratch)
     with _progress("Example 1: FMU, IPOPT, FMU, IPOPT, ...", ROUNDS) as (bar, task):
-        comparison = compare(fmu, driver, ROUNDS, lambda done: bar.update(task, completed=done))
+        comparison = compare(fmu, driver, ROUNDS, progress=lambda: bar.advance(task))
     tables.print_comparison(out, comparison)
+    with _progress("the same with noise", NOISY_ROUNDS * len(NOISE_BOUNDS)) as (bar, task):
+        noisy = [compare(fmu, driver, NOISY_ROUNDS, bound, lambda: bar.advance(task)) for bound in NOISE_BOUNDS]
+    tables.print_noisy(out, noisy)
     if callgrind.is_installed():
         work = experiment(SAMPLE_TIME)
         with _progress("counting instructions", 2) as (bar, task):

@@ -1,10 +1,12 @@
-/* Steps an observer FMU without any Python: sets a sample, steps, reads the outputs, for all samples of a file; prints the time of each run.
+/* Steps an observer FMU without any Python: sets a sample, steps, reads the outputs, for all samples of a file, and
+   prints how long that took.
 
    driver LIBRARY GUID STEP RUNS SAMPLES RECORD INPUT OUTPUTS [REFERENCE=VALUE ...]
 
-   SAMPLES: a file of doubles, one for each step of size STEP [s]. INPUT: the value reference that takes them. OUTPUTS: the value references
-   of the Reals read after each step, separated by commas; those of the last run are written to RECORD, a row of doubles for each step.
-   REFERENCE=VALUE: Real parameters set before initialisation. Prints the nanoseconds per sample of each of the RUNS, which reset the instance. */
+   SAMPLES: a file of doubles, one for each step of size STEP [s]. INPUT: the value reference that takes them. OUTPUTS:
+   the value references of the Reals read after each step, separated by commas; those of the last run are written to
+   RECORD, a row of doubles for each step. REFERENCE=VALUE: Real parameters set before initialisation. Prints the
+   nanoseconds per sample of each of the RUNS, which reset the instance. */
 #define _POSIX_C_SOURCE 200809L
 #include <dlfcn.h>
 #include <stdarg.h>
@@ -17,6 +19,7 @@
 
 typedef struct {
     fmi2InstantiateTYPE *instantiate;
+    fmi2SetDebugLoggingTYPE *log;
     fmi2SetupExperimentTYPE *setup;
     fmi2EnterInitializationModeTYPE *enter;
     fmi2ExitInitializationModeTYPE *leave;
@@ -39,7 +42,8 @@ static void check(fmi2Status status, const char *function)
         fail("failed", function);
 }
 
-static void say(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status, fmi2String category, fmi2String message, ...)
+static void say(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status, fmi2String category,
+                fmi2String message, ...)
 {
     va_list arguments;
     (void)environment;
@@ -50,7 +54,7 @@ static void say(fmi2ComponentEnvironment environment, fmi2String instance, fmi2S
     fputc('\n', stderr);
 }
 
-/* Puts the address of a function of the library into `*function`; C99 has no cast from an object pointer to a function pointer. */
+/* Puts the address of a function of the library into `*function`; C99 has no cast from an object pointer to it. */
 static void find(void *library, const char *name, void *function)
 {
     void *symbol = dlsym(library, name);
@@ -66,6 +70,7 @@ static Fmu load(const char *path)
     if (!library)
         fail("cannot load", dlerror());
     find(library, "fmi2Instantiate", &fmu.instantiate);
+    find(library, "fmi2SetDebugLogging", &fmu.log);
     find(library, "fmi2SetupExperiment", &fmu.setup);
     find(library, "fmi2EnterInitializationMode", &fmu.enter);
     find(library, "fmi2ExitInitializationMode", &fmu.leave);
@@ -134,6 +139,8 @@ int main(int argc, char **argv)
     fmi2Component instance = fmu.instantiate("driven", fmi2CoSimulation, argv[2], "", &callbacks, fmi2False, fmi2False);
     if (!instance)
         fail("fmi2Instantiate refused", argv[1]);
+    const fmi2String errors[] = {"logStatusError"};
+    check(fmu.log(instance, fmi2True, 1, errors), "fmi2SetDebugLogging");
     for (long run = 0; run < runs; run++) {
         for (int i = 9; i < argc; i++) {
             char *value;

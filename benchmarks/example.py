@@ -14,9 +14,14 @@ STOP = 50.0  # [s]
 GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
 
 
-def measurements(sample_time: float) -> np.ndarray:
-    """y of the noise-free plant at t = 0, Ts, ... up to but without STOP, (STOP / Ts,); `sample_time` in seconds."""
-    duffing = Instance(plant(DUFFING))
+def measurements(sample_time: float, noise_bound: float = 0.0) -> np.ndarray:
+    """y of the plant at t = 0, Ts, ... up to but without STOP, (STOP / Ts,).
+
+    Args:
+        sample_time: Ts [s].
+        noise_bound: half-width of the uniform noise of the plant's sensor [m].
+    """
+    duffing = Instance(plant(DUFFING), {"sensor.noise_bound": noise_bound, "sensor.sample_time": sample_time})
     y = np.empty(round(STOP / sample_time))
     for k in range(len(y)):
         y[k] = duffing.get("y")
@@ -24,10 +29,10 @@ def measurements(sample_time: float) -> np.ndarray:
     return y
 
 
-def experiment(sample_time: float) -> Experiment:
+def experiment(sample_time: float, noise_bound: float = 0.0) -> Experiment:
     """What the observer is driven with: read are the estimates of the current time, then those of the last sample."""
     return Experiment(
-        samples=measurements(sample_time),
+        samples=measurements(sample_time, noise_bound),
         step=sample_time,
         input="y",
         outputs=[f"{group}.{name}" for group in ("estimate", "filtered") for name in GUESS],

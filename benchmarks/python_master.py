@@ -11,20 +11,24 @@ from fmpy.fmi2 import fmi2Warning
 from benchmarks.native import Experiment, Unpacked
 from cosim.slave import Slave
 
-ITERATIONS = "diagnostics.iterations"
+COUNTED = ("diagnostics.iterations", "diagnostics.solver_failures")
 
 
 @dataclass(frozen=True)
 class PythonRun:
-    """`ns` per sample; `record`: the outputs after each step, (n, outputs); `iterations` at each sample, (n,)."""
+    """`ns` per sample; `record`: the outputs after each step, (n, outputs).
+
+    `iterations`: mean per sample. `failures`: solves that did not converge.
+    """
 
     ns: float
     record: np.ndarray
-    iterations: np.ndarray
+    iterations: float
+    failures: int
 
 
 def drive_from_python(fmu: Unpacked, experiment: Experiment) -> PythonRun:
-    """One run of `experiment`. The iterations are read outside the measured time.
+    """One run of `experiment`. The diagnostics are read outside the measured time.
 
     Raises:
         RunError: the FMU failed.
@@ -44,14 +48,14 @@ def drive_from_python(fmu: Unpacked, experiment: Experiment) -> PythonRun:
 def _step_all(slave: Slave, fmu: Unpacked, experiment: Experiment) -> PythonRun:
     count, n, h = len(experiment.samples), len(experiment.outputs), experiment.step
     samples, record = np.ascontiguousarray(experiment.samples, dtype=float), np.empty((count, n))
-    iterations = np.empty(count, dtype=np.int32)
-    names = ([experiment.input], experiment.outputs, [ITERATIONS])
+    counts = np.empty((count, len(COUNTED)), dtype=np.int32)
+    names = ([experiment.input], experiment.outputs, COUNTED)
     references = [np.array(fmu.references(group), dtype=np.uint32) for group in names]
-    input_at, outputs_at, iterations_at = (array.ctypes.data for array in references)
+    input_at, outputs_at, counted_at = (array.ctypes.data for array in references)
     set_real, get_real = slave.access("Set", "Real"), slave.access("Get", "Real")
     get_integer = slave.access("Get", "Integer")
     component, do_step = slave.component, slave.do_step
-    samples_at, record_at, counts_at = samples.ctypes.data, record.ctypes.data, iterations.ctypes.data
+    samples_at, record_at, counts_at = samples.ctypes.data, record.ctypes.data, counts.ctypes.data
     total = 0
     for k in range(count):
         begin = perf_counter_ns()
@@ -61,7 +65,7 @@ def _step_all(slave: Slave, fmu: Unpacked, experiment: Experiment) -> PythonRun:
             get_real(component, outputs_at, n, record_at + 8 * n * k),
         )
         total += perf_counter_ns() - begin
-        status = max(status, get_integer(component, iterations_at, 1, counts_at + 4 * k))
+        status = max(status, get_integer(component, counted_at, len(COUNTED), counts_at + k * counts.strides[0]))
         if status > fmi2Warning:
             raise slave.failure("set, doStep or get", status, k * h)
-    return PythonRun(total / count, record, iterations)
+    return PythonRun(total / count, record, float(np.mean(counts[:, 0])), int(counts[-1, 1]))

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.builds import BuildTimes
-from benchmarks.comparison import ROUNDS, Comparison
+from benchmarks.comparison import NOISE_BOUNDS, ROUNDS, Comparison
 from benchmarks.structures import STRUCTURES, Cost
 
 FASTER_THAN_IPOPT = 200  # promised
@@ -29,11 +29,23 @@ def print_comparison(out: Console, c: Comparison) -> None:
     out.print(table)
     counts = f"{len(c.native)}, {len(c.python)} and {len(c.ipopt)} runs"
     _say(out, f"Median and min over {counts} of 50 s, by turns in {ROUNDS} rounds.")
-    difference = ", ".join(f"{value:.1e}" for value in c.difference)
+    difference = ", ".join(f"{value:.1e}" for value in np.max(c.difference, axis=0))
     _say(out, f"FMU and IPOPT differ by at most {difference} in x1, x2, theta,")
     _say(out, f"the FMU natively and from Python {'not at all' if c.same_bits else '[red]in some bits[/red]'}.")
     ratio = float(np.median(c.ipopt)) / base
     _promise(out, f"at least {FASTER_THAN_IPOPT} times faster than IPOPT", ratio >= FASTER_THAN_IPOPT, f"{ratio:.0f}")
+
+
+def print_noisy(out: Console, comparisons: list[Comparison]) -> None:
+    """`comparisons`: one for each of NOISE_BOUNDS."""
+    columns = ("noise", "FMU, native", "iter.", "failed", "IPOPT", "iter.", "ratio", "apart by")
+    table = _table("The same with uniform noise (failed: of 500 samples; apart by: median)", *columns)
+    for bound, c in zip(NOISE_BOUNDS, comparisons, strict=True):
+        fmu, ipopt = float(np.median(c.native)), float(np.median(c.ipopt))
+        found = (_time(fmu), f"{c.fmu_iterations:.2f}", str(c.failures), _time(ipopt), f"{c.ipopt_iterations:.2f}")
+        difference = float(np.median(np.max(c.difference, axis=1)))
+        table.add_row(f"±{bound:g} m", *found, f"{ipopt / fmu:.0f}", f"{difference:.1e}")
+    out.print(table)
 
 
 def print_instructions(out: Console, total: float, functions: dict[str, float], flops: float) -> None:

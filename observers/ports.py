@@ -5,10 +5,11 @@ Inputs are the model's outputs, then its known inputs. `estimate.*` is of the cu
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from observers.component import Port
-from observers.model import Model, Variable
+from observers.model import Model, ModelError, Variable
 
 COUNTERS = (
     Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
@@ -29,9 +30,18 @@ def inputs(model: Model) -> tuple[Port, ...]:
     )
 
 
-def guesses(model: Model) -> tuple[Port, ...]:
-    """`guess.<state or unknown parameter>`: the first guess."""
-    return tuple(_like(f"guess.{v.name}", v, "first guess of the", "fixed") for v in _estimated(model))
+def guesses(model: Model, guess: Mapping[str, float]) -> tuple[Port, ...]:
+    """`guess.<state or unknown parameter>`: the first guess; the model's start value where `guess` has none.
+
+    Raises:
+        ModelError: a name in `guess` that is not estimated, or a value outside the variable's bounds.
+    """
+    known = {v.name: v for v in _estimated(model)}
+    for name, value in guess.items():
+        if name not in known:
+            raise ModelError(f"guess of '{name}': model '{model.name}' has no such state or unknown parameter")
+        known[name] = replace(known[name], start=value)
+    return tuple(_like(f"guess.{v.name}", v, "first guess of the", "fixed") for v in known.values())
 
 
 def known_parameters(model: Model) -> tuple[Port, ...]:

@@ -17,6 +17,7 @@ What deviates from the paper, and why:
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from types import SimpleNamespace
 
 import casadi as ca
@@ -136,6 +137,7 @@ def pseudospectral(
     N: int = 15,
     L: int = 8,
     cost: str = "samples",
+    guess: Mapping[str, float] | None = None,
     name: str | None = None,
     max_step: float = 0.1,
     stop_time: float = 50.0,
@@ -147,6 +149,7 @@ def pseudospectral(
         N: order of the polynomial (N + 1 nodes). L: length of the window in sample intervals.
         cost: "samples" sums the squared residuals at the sample instants, "spline" is the paper's quadrature (19) of a
             not-a-knot cubic spline through the samples at the nodes (it waits for a full window, as the paper does).
+        guess: start values of `guess.*` that differ from the model's.
         name: the component's name; `<model>_pseudospectral` if absent.
         max_step: the longest prediction step [s] (Dormand-Prince, order 8).
         stop_time: of the default experiment [s].
@@ -213,7 +216,7 @@ def pseudospectral(
         jump=jump,
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*measured)]),
         inputs=ports.inputs(model),
-        parameters=(*ports.guesses(model), *ports.known_parameters(model), *TUNING),
+        parameters=(*ports.guesses(model, guess or {}), *ports.known_parameters(model), *TUNING),
         outputs=(*ports.estimates(model), *DIAGNOSTICS, *ports.innovations(model), *QUALITY, *ports.COUNTERS),
         constants=(
             Port("sample_time", "sample time", "s", sample_time, variability="constant", local=True),
