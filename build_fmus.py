@@ -30,7 +30,6 @@ from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from reference_models.sine import sine
 
-
 # The paper's first guess (0, 0, 0.1), of a plant that starts at (2, 1, 0.4).
 GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
 
