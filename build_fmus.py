@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import runpy
 import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -154,19 +155,29 @@ def choose(only: Sequence[str]) -> Build:
 def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]:
     """The Components at module level of a Python file, by their names.
 
+    Modules beside the file can be imported in it, as when Python runs it.
+
     Raises:
-        ValueError: the file is missing, fails, or defines none.
+        ValueError: the file is missing, fails, defines none, or defines two of one name.
     """
     if not path.is_file():
-        raise ValueError(f"{path}: no such file")
+        raise ValueError(f"{path}: there is no such file")
+    sys.path.insert(0, str(path.resolve().parent))
     try:
         namespace = runpy.run_path(str(path))
-    except Exception as error:  # a user's file can fail in any way; one line names it
-        raise ValueError(f"{path}: {type(error).__name__}: {error}") from error
-    found = [value for value in namespace.values() if isinstance(value, Component)]
+    except (Exception, SystemExit) as error:  # a user's file can fail in any way; one line names it
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        where = f"{path}, line {lines[-1]}" if lines else str(path)
+        raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.pop(0)
+    found: dict[str, Component] = {}
+    for value in namespace.values():
+        if isinstance(value, Component) and found.setdefault(value.name, value) is not value:
+            raise ValueError(f"{path}: two Components are called '{value.name}', which names their FMU")
     if not found:
         raise ValueError(f"{path} defines no Component at module level")
-    return {component.name: (lambda made=component: made, None) for component in found}
+    return {name: (lambda made=component: made, None) for name, component in found.items()}
 
 
 def build(
@@ -221,7 +232,7 @@ def main(
             written = build(
                 work,
                 out,
-                platforms.split(","),
+                [name.strip() for name in platforms.split(",")],
                 lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
             )
     except (ExportError, ValueError, KeyError, OSError) as error:

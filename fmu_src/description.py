@@ -12,8 +12,7 @@ from lxml import etree
 from fmu_src import units
 from fmu_src.dependencies import dependencies
 from fmu_src.errors import ExportError
-from fmu_src.sources import bounds
-from observers.component import Component, Enumeration, Port
+from observers.component import Component, Enumeration, Port, bounds
 
 VERSION = "0.1.0"
 TOOL = f"observer-fmus {VERSION}"

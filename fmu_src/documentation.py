@@ -9,8 +9,7 @@ from importlib.resources import files
 from fmu_src.description import LICENSE, LOG_CATEGORIES, TOOL, Entry, entries
 from fmu_src.figures import default_experiment, icon, plot
 from fmu_src.platforms import PLATFORMS
-from fmu_src.sources import bounds
-from observers.component import Component
+from observers.component import Component, bounds
 
 LICENSES = ("observer-fmus.txt", "fmi-headers.txt", "casadi.txt")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import casadi as ca
 
 from fmu_src.errors import ExportError
-from observers.component import Component, Port
+from observers.component import Component, Port, bounds
 
 FMI_HEADERS = ("fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h")
 
@@ -73,13 +73,6 @@ def _cannot_generate(component: Component) -> str:
                 f"component '{component.name}': CasADi cannot write C for the function '{name}': {'; '.join(reasons)}"
             )
     return f"component '{component.name}': CasADi cannot write C for the functions together"
-
-
-def bounds(port: Port) -> tuple[float, float]:
-    """Smallest and largest legal value of a parameter."""
-    if port.enumeration is None:
-        return port.min, port.max
-    return max(port.min, 1), min(port.max, len(port.enumeration.items))
 
 
 def tables(component: Component, guid: str) -> dict[str, bytes]:

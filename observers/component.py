@@ -17,6 +17,14 @@ import casadi as ca
 
 from observers.model import Variable
 
+SHORTEST_SAMPLE_TIME = 1e-6  # [s]; times are counted in nanoseconds, below this their rounding is no longer small
+
+
+def check_sample_time(owner: str, name: str, value: float) -> None:
+    """Raise a ValueError unless `value` [s] is 0 (no sample instants) or finite and at least SHORTEST_SAMPLE_TIME."""
+    if not (value == 0 or (value >= SHORTEST_SAMPLE_TIME and math.isfinite(value))):
+        raise ValueError(f"{owner}: {name} = {value:.10g} must be 0 or finite and at least {SHORTEST_SAMPLE_TIME:g} s")
+
 
 @dataclass(frozen=True)
 class Enumeration:
@@ -41,6 +49,13 @@ class Port(Variable):
     local: bool = False
 
 
+def bounds(port: Port) -> tuple[float, float]:
+    """Smallest and largest legal value of a parameter."""
+    if port.enumeration is None:
+        return port.min, port.max
+    return max(port.min, 1), min(port.max, len(port.enumeration.items))
+
+
 @dataclass(frozen=True)
 class Component:
     """A hybrid system with named ports; see the module's docstring for the functions' signatures.
@@ -55,7 +70,8 @@ class Component:
         documentation: the component's method and limits, as HTML paragraphs for the FMU's documentation page.
 
     Raises:
-        ValueError: functions whose sizes contradict the ports, names that are not unique or unknown.
+        ValueError: functions whose sizes contradict the ports, names that are not unique or unknown, a sample time that is
+            neither 0 nor at least SHORTEST_SAMPLE_TIME, a time span that is not positive.
     """
 
     name: str
@@ -84,6 +100,7 @@ class Component:
             functions["jump"] = self.jump
         object.__setattr__(self, "functions", functions)
         self._check_names()
+        self._check_times()
         self._check_sizes()
 
     @property
@@ -105,6 +122,16 @@ class Component:
         for name in self.counters:
             if name not in {p.name for p in self.outputs}:
                 raise ValueError(f"component '{self.name}': the counter '{name}' is no output")
+
+    def _check_times(self) -> None:
+        where = f"component '{self.name}'"
+        if not isinstance(self.sample_time, str):
+            check_sample_time(where, "the sample time", self.sample_time)
+        if not self.max_step > 0:
+            raise ValueError(f"{where}: max_step = {self.max_step:g} must be positive")
+        for what, value in (("stop_time", self.stop_time), ("step_size", self.step_size)):
+            if not (value > 0 and math.isfinite(value)):
+                raise ValueError(f"{where}: {what} = {value:g} must be positive and finite")
 
     def _check_sizes(self) -> None:
         z, u, p, y = self.n_z, len(self.inputs), len(self.parameters), len(self.outputs)

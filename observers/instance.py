@@ -11,10 +11,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from observers.component import Component
+from observers.component import Component, bounds, check_sample_time
 
 NANOSECONDS = 1e9
-SNAP = 1e-6  # of a sample time: times closer than this to a sample instant are that instant
+SNAP = 1e-6  # of a sample time, or of a second if that is less: times closer than this are the same
+RESOLUTION = 4 * float(np.finfo(float).eps)  # of a time: what two masters' sums for it may differ by
+COARSE = 0.01  # of a sample time: where RESOLUTION exceeds this, sample instants cannot be told apart
 
 
 class Instance:
@@ -25,6 +27,10 @@ class Instance:
         parameters: start values that differ from the component's, by name.
         t0: start time [s].
         inputs: input values before the first step, by name.
+
+    Raises:
+        ValueError: an unknown name, a parameter outside its bounds, an impossible sample time, a start state that is not
+            finite.
     """
 
     def __init__(
@@ -43,28 +49,43 @@ class Instance:
         for name, value in (parameters or {}).items():
             self._set_parameter(name, value)
         for name, value in (inputs or {}).items():
-            self.u[self._u_index[name]] = value
+            self.u[self._index(self._u_index, "input", name)] = value
+        if not math.isfinite(t0):
+            raise ValueError(f"{component.name}: the start time {t0:g} is not finite")
         sample_time = component.sample_time
-        self.sample_time = float(self.p[self._p_index[sample_time]] if isinstance(sample_time, str) else sample_time)
-        self._tolerance = max(SNAP * self.sample_time, 1 / NANOSECONDS)
+        if isinstance(sample_time, str):
+            self.sample_time = float(self.p[self._p_index[sample_time]])
+            check_sample_time(component.name, sample_time, self.sample_time)
+        else:
+            self.sample_time = float(sample_time)
         self._breaks = sorted(self.p[self._p_index[name]] for name in component.breaks)
         self.t0 = self.time = t0
         self.ticks = 0
         self.z = self._call("start", self.p, t0)
+        if not np.all(np.isfinite(self.z)):
+            raise ValueError(f"{component.name}: the start values give no finite state at t = {t0:g}")
 
     def set(self, name: str, value: float) -> None:
-        """Set an input or a tunable parameter; tunables act from the next flow or jump on."""
+        """Set an input or a tunable parameter; tunables act from the next flow or jump on.
+
+        Raises:
+            ValueError: there is neither of this name, it is a fixed parameter, or the value lies outside its bounds.
+        """
         if name in self._u_index:
             self.u[self._u_index[name]] = value
             return
-        port = self.component.parameters[self._p_index[name]]
-        if port.variability == "fixed":
-            raise ValueError(f"{name} is fixed: give it to the constructor")
+        index = self._index(self._p_index | self._u_index, "input or parameter", name)
+        if self.component.parameters[index].variability == "fixed":
+            raise ValueError(f"{self.component.name}: {name} is fixed: give it to the constructor")
         self._set_parameter(name, value)
 
     def get(self, name: str) -> float:
-        """The output `name` at the current time."""
-        return float(self.outputs()[self._y_index[name]])
+        """The output `name` at the current time.
+
+        Raises:
+            ValueError: there is none.
+        """
+        return float(self.outputs()[self._index(self._y_index, "output", name)])
 
     def outputs(self) -> np.ndarray:
         """All outputs at the current time, in the component's order."""
@@ -75,21 +96,31 @@ class Instance:
 
         Raises:
             ValueError: t is not the current time, h is not positive or exceeds the sample time of a component that samples
-                its inputs, or the state would not be finite. The instance is then unchanged.
+                its inputs, t is so large that doubles cannot tell sample instants apart, or the state would not be finite.
+                The instance is then unchanged.
         """
         component, ts = self.component, self.sample_time
         if not (math.isfinite(h) and h > 0):
             raise ValueError(f"{component.name}: step size h = {h:g} must be positive")
-        if not abs(t - self.time) <= self._tolerance:
+        if not abs(t - self.time) <= self._tolerance(self.time):
             raise ValueError(f"{component.name}: step from t = {t:.17g}, but the current time is {self.time:.17g}")
         if component.samples_inputs and ts > 0 and h > ts * (1 + SNAP):
             raise ValueError(f"{component.name}: step size h = {h:g} exceeds the sample time {ts:g}")
         end = self._snap(t + h)
-        now, z, ticks = self.time, self.z, self.ticks
+        if not (end >= self.time and math.isfinite(end)):
+            raise ValueError(
+                f"{component.name}: a step to t = {end:.17g} is impossible from the current time {self.time:.17g}"
+            )
+        if ts > 0 and RESOLUTION * abs(end) > COARSE * ts:
+            raise ValueError(
+                f"{component.name}: at t = {end:.17g} times are exact to {RESOLUTION * abs(end):.2g} s only, "
+                f"too coarse for the sample time {ts:g}"
+            )
+        now, z, ticks, slack = self.time, self.z, self.ticks, self._tolerance(end)
         while True:
             tick = self.t0 + ticks * ts if ts > 0 else math.inf
-            due = tick < end - self._tolerance
-            if due and tick <= now + self._tolerance:
+            due = tick < end - slack
+            if due and tick <= now + slack:
                 if component.jump is not None:
                     z = self._call("jump", z, self.u, self.p, tick)
                 ticks += 1
@@ -114,23 +145,32 @@ class Instance:
             z = self._call("flow", z, self.u, self.p, start + i * h, h)
         return z
 
+    def _tolerance(self, t: float) -> float:
+        """How far two times at about t may lie apart and still be the same."""
+        return max(SNAP * min(self.sample_time, 1.0), 1 / NANOSECONDS, RESOLUTION * abs(t))
+
     def _snap(self, t: float) -> float:
         t = self.t0 + float(np.rint((t - self.t0) * NANOSECONDS)) / NANOSECONDS
         if self.sample_time > 0:
             instant = self.t0 + float(np.rint((t - self.t0) / self.sample_time)) * self.sample_time
-            if abs(t - instant) <= self._tolerance:
+            if abs(t - instant) <= self._tolerance(t):
                 return instant
         return t
 
     def _set_parameter(self, name: str, value: float) -> None:
-        if name not in self._p_index:
-            raise ValueError(
-                f"{self.component.name} has no parameter '{name}'; known: {', '.join(self._p_index) or 'none'}"
-            )
-        port = self.component.parameters[self._p_index[name]]
-        if not port.min <= value <= port.max:
-            raise ValueError(f"{self.component.name}: {name} = {value:g} lies outside [{port.min:g}, {port.max:g}]")
-        self.p[self._p_index[name]] = value
+        index = self._index(self._p_index, "parameter", name)
+        port = self.component.parameters[index]
+        low, high = bounds(port)
+        if not low <= value <= high:
+            raise ValueError(f"{self.component.name}: {name} = {value:.10g} lies outside [{low:.10g}, {high:.10g}]")
+        if port.kind != "Real" and not float(value).is_integer():
+            raise ValueError(f"{self.component.name}: {name} = {value:.10g} is not a whole number")
+        self.p[index] = value
+
+    def _index(self, known: Mapping[str, int], what: str, name: str) -> int:
+        if name not in known:
+            raise ValueError(f"{self.component.name} has no {what} '{name}'; known: {', '.join(known) or 'none'}")
+        return known[name]
 
     def _call(self, function: str, *arguments: np.ndarray | float) -> np.ndarray:
         return np.asarray(self.component.functions[function].call(list(arguments))[0].full()).ravel()

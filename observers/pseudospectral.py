@@ -66,9 +66,10 @@ CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, st
 TUNING = (
     Port(
         "tuning.tolerance",
-        "scaled step below which Gauss-Newton stops; large: one iteration a sample",
+        "scaled step below which Gauss-Newton stops; 1: mostly one iteration a sample",
         start=1e-5,
         min=1e-14,
+        max=1.0,
         variability="tunable",
     ),
     Port(
@@ -345,7 +346,8 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
         due, V, unknown, data, q.model, compared, point_weight, q.regularisation, q.tolerance, q.iteration_limit
     )
     V_new, unknown_new, size, cost_after, conditioning, iterations = found
-    converged = ca.logic_and(due, size < q.tolerance**2)
+    finite = ca.sumsqr(ca.vertcat(V_new, unknown_new)) < HUGE
+    converged = ca.logic_and(ca.logic_and(due, finite), size < q.tolerance**2)
     determined = conditioning > q.conditioning_limit
     accepted = ca.logic_and(converged, determined)
     failed = ca.logic_and(due, ca.logic_not(converged))

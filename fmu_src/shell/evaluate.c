@@ -28,12 +28,20 @@ bool all_finite(const double *values, size_t n)
 }
 
 /* The clock and z = start(p, t0), unless they already follow from the parameters. False, with z as it was and a
-   message, where start fails. */
+   message, where start fails or the sample time is impossible. */
 bool refresh_start(Instance *self)
 {
     Run *run = &self->run;
     if (!self->stale_start)
         return true;
+    int named = component.sample_time_parameter;
+    double sample_time = named >= 0 ? self->p[named] : component.sample_time;
+    if (!(sample_time == 0 || (sample_time >= SHORTEST_SAMPLE_TIME && isfinite(sample_time)))) {
+        report(self, fmi2Error, LOG_ERROR, "%s: %s = %.10g must be 0 or finite and at least %g s.", component.name,
+               named >= 0 ? component.variables[component.n_inputs + (size_t)named].name : "the sample time",
+               sample_time, SHORTEST_SAMPLE_TIME);
+        return false;
+    }
     self->arg[0] = self->p;
     self->arg[1] = &run->t0;
     self->res[0] = self->scratch[0];
@@ -48,9 +56,7 @@ bool refresh_start(Instance *self)
     self->scratch[0] = z;
     run->time = run->t0;
     run->ticks = 0;
-    run->sample_time =
-        component.sample_time_parameter >= 0 ? self->p[component.sample_time_parameter] : component.sample_time;
-    run->tolerance = fmax(SNAP * run->sample_time, 1 / NANOSECONDS);
+    run->sample_time = sample_time;
     for (size_t i = 0; i < component.n_breaks; i++) { /* insertion sort: a handful of times, once */
         double instant = self->p[component.breaks[i]];
         size_t k = i;

@@ -6,6 +6,7 @@
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
+#include <float.h>
 #include <stdbool.h>
 #include <stdint.h>
 
@@ -13,7 +14,10 @@
 #include "fmi2Functions.h"
 
 #define NANOSECONDS 1e9 /* times are counted in these */
-#define SNAP 1e-6       /* of a sample time: times closer than this to a sample instant are that instant */
+#define SNAP 1e-6       /* of a sample time, or of a second if that is less: times closer than this are the same */
+#define SHORTEST_SAMPLE_TIME 1e-6 /* [s]; 1000 nanoseconds: below, SNAP drowns in the rounding of times */
+#define RESOLUTION (4 * DBL_EPSILON) /* of a time: what two importers' sums for it may differ by */
+#define COARSE 0.01                  /* of a sample time: where RESOLUTION exceeds this, instants cannot be told apart */
 
 typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEP_COMPLETE = 4, TERMINATED = 8 } Lifecycle;
 #define ANY_STATE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE | TERMINATED)
@@ -29,7 +33,7 @@ typedef struct {
     int64_t ticks;        /* sample instants so far: the next is t0 + ticks * sample_time */
     int64_t extrapolates; /* input derivatives are set for the next step */
     double t0, stop_time, time;
-    double sample_time, tolerance;
+    double sample_time;
 } Run;
 
 typedef struct {

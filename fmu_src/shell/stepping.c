@@ -9,12 +9,18 @@
 
 #include "instance.h"
 
+/* How far two times at about t may lie apart and still be the same. */
+static double tolerance(const Run *run, double t)
+{
+    return fmax(fmax(SNAP * fmin(run->sample_time, 1), 1 / NANOSECONDS), RESOLUTION * fabs(t));
+}
+
 static double snap(const Run *run, double t)
 {
     t = run->t0 + rint((t - run->t0) * NANOSECONDS) / NANOSECONDS;
     if (run->sample_time > 0) {
         double instant = run->t0 + rint((t - run->t0) / run->sample_time) * run->sample_time;
-        if (fabs(t - instant) <= run->tolerance)
+        if (fabs(t - instant) <= tolerance(run, t))
             return instant;
     }
     return t;
@@ -70,11 +76,11 @@ static bool flow(Instance *self, Pair *pair, double start, double end)
 static bool advance(Instance *self, Pair *pair, double end, int64_t *ticks)
 {
     const Run *run = &self->run;
-    double now = run->time;
+    double now = run->time, slack = tolerance(run, end);
     for (;;) {
         double tick = run->sample_time > 0 ? run->t0 + (double)*ticks * run->sample_time : HUGE_VAL;
-        bool due = tick < end - run->tolerance;
-        if (due && tick <= now + run->tolerance) {
+        bool due = tick < end - slack;
+        if (due && tick <= now + slack) {
             if (component.jump && !move(self, pair, component.jump, inputs_at(self, tick), tick, 0))
                 return false;
             ++*ticks;
@@ -102,7 +108,7 @@ static bool legal_step(Instance *self, double t, double h, double end)
         report(self, fmi2Error, LOG_ERROR, "%s: step size h = %.10g must be positive.", component.name, h);
         return false;
     }
-    if (!(fabs(t - run->time) <= run->tolerance)) {
+    if (!(fabs(t - run->time) <= tolerance(run, run->time))) {
         report(self, fmi2Error, LOG_ERROR, "%s: step from t = %.15g, but the current time is %.15g.", component.name, t,
                run->time);
         return false;
@@ -112,7 +118,7 @@ static bool legal_step(Instance *self, double t, double h, double end)
                run->sample_time);
         return false;
     }
-    if (run->stop_time_defined && end > run->stop_time + run->tolerance) {
+    if (run->stop_time_defined && end > run->stop_time + tolerance(run, run->stop_time)) {
         report(self, fmi2Error, LOG_ERROR, "%s: the step from t = %.15g to %.15g goes beyond the stop time %.15g.",
                component.name, t, end, run->stop_time);
         return false;
@@ -120,6 +126,12 @@ static bool legal_step(Instance *self, double t, double h, double end)
     if (!(end >= run->time && isfinite(end))) {
         report(self, fmi2Error, LOG_ERROR, "%s: a step to t = %.15g is impossible from the current time %.15g.",
                component.name, end, run->time);
+        return false;
+    }
+    if (run->sample_time > 0 && RESOLUTION * fabs(end) > COARSE * run->sample_time) {
+        report(self, fmi2Error, LOG_ERROR,
+               "%s: at t = %.15g times are exact to %.2g s only, too coarse for the sample time %.10g.", component.name,
+               end, RESOLUTION * fabs(end), run->sample_time);
         return false;
     }
     return true;

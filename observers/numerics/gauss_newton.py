@@ -38,28 +38,31 @@ def output_residual(problem: LeastSquares) -> ca.Function:
 
 
 def newton_step(problem: LeastSquares) -> ca.Function:
-    """Function newton(V, s, data, p, y, w, lam) -> (V+, s+, size, cost, conditioning).
+    """Function newton(V, s, data, p, y, w, lam, length) -> (V+, s+, size, cost, conditioning).
 
+    The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the weighted sum of squares that the linearisation predicts
-    after the step, `conditioning` in [0, 1] the smallest pivot of the scaled normal matrix over the largest.
+    after the whole step, `conditioning` in [0, 1] the smallest pivot of the scaled normal matrix over the largest.
     """
     kind: Any = ca.SX if problem.is_small else ca.MX
     V, s, data, p, y = _symbols(problem, kind)
-    w, lam = kind.sym("w", problem.ny * len(problem.points)), kind.sym("lam")
+    w = kind.sym("w", problem.ny * len(problem.points))
+    lam, length = kind.sym("lam"), kind.sym("length")
     sol = _condense(problem, kind, V, s, data, p)
     rows = _measured(problem, kind, V, s, data, p, y, sol)
-    ns, nxt = problem.nx + problem.n_theta, 1 + problem.nx + problem.n_theta
+    nxt = 1 + problem.nx + problem.n_theta
     normal, start = kind(ca.DM.zeros(nxt, nxt)), 0
     for r, M in rows:
         normal = normal + _normal(M.shape[0], nxt)(r, M, w[start : start + M.shape[0]])
         start += M.shape[0]
     step, conditioning, cost = _reduced(tuple(problem.scale))(normal, lam)
-    full = ca.vertcat(1, step)
+    full = ca.vertcat(1, length * step)
     dV = ca.vertcat(*[tiles.product(block.shape[0], nxt)(block, full) for block in sol]) if sol else kind(0, 1)
     weights = np.tile(1 / problem.rate_scale, problem.window.order) if problem.n_rates else np.zeros(0)
     size = ca.sumsqr(step / problem.scale) + (ca.sumsqr(dV * weights) if problem.n_rates else 0)
-    assert step.numel() == ns
-    return ca.Function("newton", [V, s, data, p, y, w, lam], [V + dV, s + step, size, cost, conditioning])
+    return ca.Function(
+        "newton", [V, s, data, p, y, w, lam, length], [V + dV, s + length * step, size, cost, conditioning]
+    )
 
 
 def _symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
