@@ -12,9 +12,8 @@ import os
 import runpy
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -26,115 +25,30 @@ from cosim.ssp import write_ssp
 from cosim.system import Element, System
 from fmu_src import ExportError, export
 from observers.component import Component
-from observers.pseudospectral import pseudospectral
-from reference_models.duffing import DUFFING
-from reference_models.plant import plant
-from reference_models.sine import sine
+from reference_models import gong_2007
+from reference_models.recipe import Recipe, Source
 
-# The paper's first guess (0, 0, 0.1), of a plant that starts at (2, 1, 0.4).
-GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
-
-
-@cache
-def duffing() -> Component:
-    return plant(DUFFING, jumps={"theta": 2})
+# The papers, each with its FMUs and systems.
+PAPERS = (gong_2007,)
+FMUS: dict[str, Source] = {name: made for paper in PAPERS for name, made in paper.FMUS.items()}
+SYSTEMS: dict[str, Recipe] = {name: recipe for paper in PAPERS for name, recipe in paper.SYSTEMS.items()}
 
 
-# FMUs by name: how to make the component, and the plant that drives it in its documentation's figure.
-FMUS: dict[str, tuple[Callable[[], Component], Callable[[], Component] | None]] = {
-    "duffing": (duffing, None),
-    "duffing_pseudospectral": (lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8, guess=GUESS), duffing),
-    "duffing_pseudospectral_spline": (
-        lambda: pseudospectral(
-            DUFFING, sample_time=0.1, N=15, L=8, cost="spline", guess=GUESS, name="duffing_pseudospectral_spline"
-        ),
-        duffing,
-    ),
-    "duffing_pseudospectral_3a": (
-        lambda: pseudospectral(
-            DUFFING, sample_time=0.01, N=15, L=80, guess=GUESS, name="duffing_pseudospectral_3a", stop_time=50.0
-        ),
-        duffing,
-    ),
-    "duffing_pseudospectral_3b": (
-        lambda: pseudospectral(
-            DUFFING, sample_time=0.5, N=50, L=10, guess=GUESS, name="duffing_pseudospectral_3b", stop_time=50.0
-        ),
-        duffing,
-    ),
-    "sine": (sine, None),
-}
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """A system of the catalogue: FMU names by element, parameter values, connections, experiment."""
-
-    description: str
-    fmus: Mapping[str, str]
-    parameters: Mapping[str, Mapping[str, float]]
-    stop: float
-    step: float
-    connections: Sequence[tuple[str, str]] = (("plant.y", "observer.y"),)
-
-    def system(self, name: str, fmu_directory: Path) -> System:
-        elements = {
-            element: Element(fmu_directory / f"{fmu}.fmu", dict(self.parameters.get(element, {})))
-            for element, fmu in self.fmus.items()
-        }
-        return System(
-            name, elements, list(self.connections), stop=self.stop, step=self.step, description=self.description
-        )
-
-
-START = {"start.x1": 2.0, "start.x2": 1.0}
-JUMPS = {
-    "model.theta": 0.4,
-    "model.theta_jump_time[1]": 10.0,
-    "model.theta_jump_value[1]": 0.1,
-    "model.theta_jump_time[2]": 20.0,
-    "model.theta_jump_value[2]": 0.3,
-}
-
-
-def _gong(
-    description: str,
-    fmu: str = "duffing_pseudospectral",
-    *,
-    stop: float = 50.0,
-    step: float = 0.1,
-    plant: Mapping[str, float] | None = None,
-    observer: Mapping[str, float] | None = None,
-) -> Recipe:
-    """An example of Gong, Ross & Kang 2007: the Duffing plant from (2, 1) and an observer that starts at (0, 0, 0.1)."""
-    parameters = {"plant": START | dict(plant or {}), "observer": dict(observer or {})}
-    return Recipe(description, {"plant": "duffing", "observer": fmu}, parameters, stop, step)
-
-
-SYSTEMS: dict[str, Recipe] = {
-    "gong_example_1": _gong("Example 1: chaotic Duffing system with unknown theta"),
-    "gong_example_1_spline": _gong("Example 1 with the paper's spline cost", "duffing_pseudospectral_spline"),
-    "gong_example_1_input": Recipe(
-        "Example 1 with a known input u = sin t",
-        {"source": "sine", "plant": "duffing", "observer": "duffing_pseudospectral"},
-        {"plant": START},
-        50.0,
-        0.1,
-        (("source.y", "plant.u"), ("source.y", "observer.u"), ("plant.y", "observer.y")),
-    ),
-    "gong_example_2": _gong(
-        "Example 2: theta jumps at t = 10 and t = 20", stop=30.0, plant=JUMPS, observer={"tuning.residual_limit": 1e-6}
-    ),
-    "gong_example_3a": _gong("Example 3: sampled every 0.01 s, L = 80, N = 15", "duffing_pseudospectral_3a", step=0.01),
-    "gong_example_3b": _gong("Example 3: sampled every 0.5 s, L = 10, N = 50", "duffing_pseudospectral_3b", step=0.5),
-}
+def system(name: str, recipe: Recipe, fmu_directory: Path) -> System:
+    """The system that `recipe` describes, of the FMUs in `fmu_directory`."""
+    elements = {
+        element: Element(fmu_directory / f"{fmu}.fmu", dict(recipe.parameters.get(element, {})))
+        for element, fmu in recipe.fmus.items()
+    }
+    connections = list(recipe.connections)
+    return System(name, elements, connections, stop=recipe.stop, step=recipe.step, description=recipe.description)
 
 
 @dataclass
 class Build:
     """What to build: FMUs (made by a function, drawn with a plant), then systems."""
 
-    fmus: dict[str, tuple[Callable[[], Component], Callable[[], Component] | None]] = field(default_factory=dict)
+    fmus: dict[str, Source] = field(default_factory=dict)
     systems: dict[str, Recipe] = field(default_factory=dict)
 
 
@@ -162,7 +76,8 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
     """
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
-    sys.path.insert(0, str(path.resolve().parent))
+    beside = str(path.resolve().parent)
+    sys.path.insert(0, beside)
     try:
         namespace = runpy.run_path(str(path))
     except (Exception, SystemExit) as error:  # a user's file can fail in any way; one line names it
@@ -170,13 +85,15 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
         where = f"{path}, line {lines[-1]}" if lines else str(path)
         raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
     finally:
-        sys.path.pop(0)
+        sys.path.remove(beside)
     found: dict[str, Component] = {}
     for value in namespace.values():
         if isinstance(value, Component) and found.setdefault(value.name, value) is not value:
             raise ValueError(f"{path}: two Components are called '{value.name}', which names their FMU")
     if not found:
-        raise ValueError(f"{path} defines no Component at module level")
+        raise ValueError(
+            f"{path} defines no Component at module level, such as observer = pseudospectral(model, sample_time=0.1)"
+        )
     return {name: (lambda made=component: made, None) for name, component in found.items()}
 
 
@@ -198,7 +115,7 @@ def build(
     for name, recipe in work.systems.items():
         progress(name, len(written), total)
         path = directory / f"{name}.ssp"
-        write_ssp(recipe.system(name, out), path)
+        write_ssp(system(name, recipe, out), path)
         written.append(path)
     progress("done", total, total)
     return written
@@ -235,7 +152,9 @@ def main(
                 [name.strip() for name in platforms.split(",")],
                 lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
             )
-    except (ExportError, ValueError, KeyError, OSError) as error:
+    except OSError as error:
+        _fail(f"cannot write to {out}: {error.strerror or error}")
+    except (ExportError, ValueError, KeyError) as error:
         _fail(str(error.args[0]) if isinstance(error, KeyError) else str(error))
     for path in written:
         print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")

@@ -156,4 +156,4 @@ def _check_range(variable: ModelVariable, value: Value) -> None:
     least = float(low) if low else -math.inf
     most = float(high) if high else math.inf
     if value < least or value > most:  # type: ignore[operator]  # a number here; NaN passes, the FMU decides on it
-        raise ValueError(f"'{variable.name}' = {value} lies outside [{least:g}, {most:g}]")
+        raise ValueError(f"'{variable.name}' = {value} lies outside [{least:.10g}, {most:.10g}]")

@@ -26,6 +26,7 @@ from cosim.system import ResolvedSystem, System, find_variable, resolve
 
 STEP_TOLERANCE = 1e-6  # of a step: how far the stop time may lie from a whole number of steps
 PROGRESS_REPORTS = 200  # per run
+MOST_STEPS = 10**9  # beyond, the record fits into no memory
 
 
 def run(
@@ -48,7 +49,8 @@ def run(
 
     Raises:
         SystemFileError: the system or its file is not sound.
-        ExperimentError: an unknown or unfit override, a stop time that is no whole number of steps away from the start.
+        ExperimentError: an unknown or unfit override, a stop time that is no whole number of steps away from the start, more
+            steps than memory has room for.
         RunError: an FMU failed; `partial` of the error has the rows up to there.
     """
     with ExitStack() as stack:
@@ -59,7 +61,10 @@ def run(
         stop, step = resolved.experiment(stop, step)
         steps = count_steps(system.start, stop, step)
         values = _start_values(resolved, overrides or {})
-        record = Record(resolved, output_levels(resolved), system.start, step, steps)
+        try:
+            record = Record(resolved, output_levels(resolved), system.start, step, steps)
+        except MemoryError:
+            raise ExperimentError(f"the record of {steps} steps of {step:g} s does not fit into memory") from None
         try:
             slaves = _instantiate(resolved, directory, record, stack)
             exchange = record.exchange(slaves)
@@ -77,13 +82,16 @@ def count_steps(start: float, stop: float, step: float) -> int:
     """The number of steps of size `step` from `start` to `stop` [s].
 
     Raises:
-        ExperimentError: `step` is not positive, `stop` does not lie after `start`, or not a whole number of steps.
+        ExperimentError: `step` is not positive, `stop` does not lie after `start`, or not a whole number of steps, or more
+            than MOST_STEPS.
     """
     if not (math.isfinite(step) and step > 0):
         raise ExperimentError(f"step size {step:g} must be positive and finite")
     if not (math.isfinite(stop) and stop > start):
         raise ExperimentError(f"stop time {stop:g} must be finite and lie after the start time {start:g}")
     count = (stop - start) / step
+    if count > MOST_STEPS:
+        raise ExperimentError(f"{count:.3g} steps of {step:g} s up to {stop:g} s are more than {MOST_STEPS}")
     if round(count) < 1 or abs(count - round(count)) > STEP_TOLERANCE:
         since = f" after the start time {start!r}" if start else ""
         raise ExperimentError(f"stop time {stop!r}{since} is not a multiple of the step size {step!r}")

@@ -23,7 +23,13 @@ BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#555555"
 LABELS = {"x1": "$x_1$ [m]", "x2": "$x_2$ [m/s]", "theta": r"$\theta$ [m/s$^2$]"}
 
 plt.rcParams.update(
-    {"svg.hashsalt": "observer-fmus", "font.size": 9, "axes.grid": True, "grid.color": "#e5e5e5", "axes.edgecolor": GREY}
+    {
+        "svg.hashsalt": "observer-fmus",
+        "font.size": 9,
+        "axes.grid": True,
+        "grid.color": "#e5e5e5",
+        "axes.edgecolor": GREY,
+    }
 )
 
 
@@ -38,7 +44,9 @@ def jumping_theta(result: Result) -> None:
     figure, axes = plt.subplots(5, 1, figsize=(8, 7.5), sharex=True, height_ratios=[2, 2, 2, 2, 1.2])
     for axis, v in zip(axes, ESTIMATED, strict=False):
         axis.plot(result.time, result[f"plant.x.{v}"], color=BLUE, label="true, in the plant's FMU")
-        axis.plot(result.time, result[f"observer.estimate.{v}"], "--", color=ORANGE, label="estimate, from the observer's FMU")
+        axis.plot(
+            result.time, result[f"observer.estimate.{v}"], "--", color=ORANGE, label="estimate, from the observer's FMU"
+        )
         axis.set_ylabel(LABELS[v])
     axes[0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1, 1), frameon=False)
     axes[2].set_ylim(-1.4, 1.0)
@@ -60,7 +68,9 @@ def jumping_theta(result: Result) -> None:
 def two_costs(sampled: Result, spline: Result) -> None:
     """Example 1: the error at the sample instants with the sampled cost and with the paper's spline."""
     figure, axes = plt.subplots(1, 2, figsize=(8, 3), sharey=True)
-    for axis, result, title in zip(axes, (sampled, spline), ("cost at the samples", "the paper's spline cost"), strict=True):
+    for axis, result, title in zip(
+        axes, (sampled, spline), ("cost at the samples", "the paper's spline cost"), strict=True
+    ):
         found = np.maximum(errors(result), 1e-17)
         for i, (v, colour) in enumerate(zip(ESTIMATED, (BLUE, ORANGE, GREEN), strict=True)):
             axis.semilogy(result.time[:-1], found[:, i], color=colour, label=LABELS[v].split(" ")[0], linewidth=0.9)
@@ -92,7 +102,9 @@ def spectral(orders: range) -> None:
         largest.append(np.array(gaps)[20:].max(axis=0))
     figure, axis = plt.subplots(figsize=(5, 3))
     for i, (v, colour) in enumerate(zip(ESTIMATED, (BLUE, ORANGE, GREEN), strict=True)):
-        axis.semilogy(list(orders), np.array(largest)[:, i], "o-", color=colour, label=LABELS[v].split(" ")[0], markersize=3)
+        axis.semilogy(
+            list(orders), np.array(largest)[:, i], "o-", color=colour, label=LABELS[v].split(" ")[0], markersize=3
+        )
     axis.set_xlabel("order N")
     axis.set_ylabel("largest error, t = 2 to 10 s")
     axis.legend(frameon=False)

@@ -1,0 +1,89 @@
+"""The experiments of Gong, Ross & Kang, "A pseudospectral observer for nonlinear systems", 2007: Examples 1 to 3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+from observers.component import Component
+from observers.pseudospectral import pseudospectral
+from reference_models.duffing import DUFFING
+from reference_models.plant import plant
+from reference_models.recipe import Recipe, Source
+from reference_models.sine import sine
+
+# The paper's first guess (0, 0, 0.1), of a plant that starts at (2, 1, 0.4).
+GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
+
+
+@cache
+def duffing() -> Component:
+    return plant(DUFFING, jumps={"theta": 2})
+
+
+FMUS: dict[str, Source] = {
+    "duffing": (duffing, None),
+    "duffing_pseudospectral": (lambda: pseudospectral(DUFFING, sample_time=0.1, N=15, L=8, guess=GUESS), duffing),
+    "duffing_pseudospectral_spline": (
+        lambda: pseudospectral(
+            DUFFING, sample_time=0.1, N=15, L=8, cost="spline", guess=GUESS, name="duffing_pseudospectral_spline"
+        ),
+        duffing,
+    ),
+    "duffing_pseudospectral_3a": (
+        lambda: pseudospectral(
+            DUFFING, sample_time=0.01, N=15, L=80, guess=GUESS, name="duffing_pseudospectral_3a", stop_time=50.0
+        ),
+        duffing,
+    ),
+    "duffing_pseudospectral_3b": (
+        lambda: pseudospectral(
+            DUFFING, sample_time=0.5, N=50, L=10, guess=GUESS, name="duffing_pseudospectral_3b", stop_time=50.0
+        ),
+        duffing,
+    ),
+    "sine": (sine, None),
+}
+
+
+START = {"start.x1": 2.0, "start.x2": 1.0}
+JUMPS = {
+    "model.theta": 0.4,
+    "model.theta_jump_time[1]": 10.0,
+    "model.theta_jump_value[1]": 0.1,
+    "model.theta_jump_time[2]": 20.0,
+    "model.theta_jump_value[2]": 0.3,
+}
+
+
+def _gong(
+    description: str,
+    fmu: str = "duffing_pseudospectral",
+    *,
+    stop: float = 50.0,
+    step: float = 0.1,
+    plant: Mapping[str, float] | None = None,
+    observer: Mapping[str, float] | None = None,
+) -> Recipe:
+    """An example of Gong, Ross & Kang 2007: the Duffing plant from (2, 1) and an observer that starts at (0, 0, 0.1)."""
+    parameters = {"plant": START | dict(plant or {}), "observer": dict(observer or {})}
+    return Recipe(description, {"plant": "duffing", "observer": fmu}, parameters, stop, step)
+
+
+SYSTEMS: dict[str, Recipe] = {
+    "gong_example_1": _gong("Example 1: chaotic Duffing system with unknown theta"),
+    "gong_example_1_spline": _gong("Example 1 with the paper's spline cost", "duffing_pseudospectral_spline"),
+    "gong_example_1_input": Recipe(
+        "Example 1 with a known input u = sin t",
+        {"source": "sine", "plant": "duffing", "observer": "duffing_pseudospectral"},
+        {"plant": START},
+        50.0,
+        0.1,
+        (("source.y", "plant.u"), ("source.y", "observer.u"), ("plant.y", "observer.y")),
+    ),
+    "gong_example_2": _gong(
+        "Example 2: theta jumps at t = 10 and t = 20", stop=30.0, plant=JUMPS, observer={"tuning.residual_limit": 1e-6}
+    ),
+    "gong_example_3a": _gong("Example 3: sampled every 0.01 s, L = 80, N = 15", "duffing_pseudospectral_3a", step=0.01),
+    "gong_example_3b": _gong("Example 3: sampled every 0.5 s, L = 10, N = 50", "duffing_pseudospectral_3b", step=0.5),
+}
