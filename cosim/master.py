@@ -26,7 +26,7 @@ from cosim.system import ResolvedSystem, System, find_variable, resolve
 
 STEP_TOLERANCE = 1e-6  # of a step: how far the stop time may lie from a whole number of steps
 PROGRESS_REPORTS = 200  # per run
-MOST_STEPS = 10**9  # beyond, the record fits into no memory
+MOST_STEPS = 10**8  # the record of a plant and an observer then takes 15 GB
 
 
 def run(

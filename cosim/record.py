@@ -37,7 +37,6 @@ class Record:
         self._resolved = resolved
         self._step = step
         self._levels = levels
-        self.time = start + np.arange(steps + 1) * step
         self.rows = 0  # that are complete
         self.step_ns = {name: np.zeros(steps, dtype=np.int64) for name in resolved.descriptions}
         self.messages: list[Message] = []
@@ -58,6 +57,7 @@ class Record:
                 self._column[element, variable.name] = (kind, widths[kind])
                 widths[kind] += 1
         self._arrays = {kind: np.empty((steps + 1, widths[kind]), dtype) for kind, dtype in _STORED.items()}
+        self.time = start + np.arange(steps + 1) * step
         self._references: list[np.ndarray] = []  # kept alive: the calls hold their addresses
 
     def exchange(self, slaves: Mapping[str, Slave]) -> list[Access]:

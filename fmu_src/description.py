@@ -27,6 +27,7 @@ LOG_CATEGORIES = {
 
 _NAME = re.compile(r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?(\.[A-Za-z_]\w*(\[\d+(,\d+)*\])?)*\Z", re.ASCII)
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z", re.ASCII)
+_CONTROL = re.compile(r"[^\t\n\r\x20-\uD7FF\uE000-\uFFFD\U00010000-\U0010FFFF]")  # what XML 1.0 cannot hold
 _VARIABILITIES = {
     "input": ("continuous", "discrete"),
     "parameter": ("fixed", "tunable"),
@@ -126,8 +127,14 @@ def _check(component: Component, variables: list[Entry]) -> None:
         raise ExportError(f"{where}: the name must be a C identifier, it names the FMU's files and functions")
     if not variables:
         raise ExportError(f"{where} has no variables")
+    if _CONTROL.search(component.description):
+        raise ExportError(f"{where}: its description {component.description!r} holds control characters")
     for entry in variables:
         port = entry.port
+        if _CONTROL.search(port.description):
+            raise ExportError(
+                f"{where}: the description {port.description!r} of '{port.name}' holds control characters"
+            )
         if not _NAME.match(port.name):
             raise ExportError(f"{where}: '{port.name}' is no structured variable name such as a.b[1]")
         if port.kind not in ("Real", "Integer", "Enumeration") or (port.kind == "Enumeration") != (

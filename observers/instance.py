@@ -135,7 +135,15 @@ class Instance:
             if not due and until == end:
                 break
         if not np.all(np.isfinite(z)):
-            raise ValueError(f"{component.name}: the state is not finite after the step from t = {t:g} to {t + h:g}")
+            bad = [
+                f", where the input {n} is {self.u[i]:g}"
+                for n, i in self._u_index.items()
+                if not np.isfinite(self.u[i])
+            ]
+            cause = bad[0] if bad else ""
+            raise ValueError(
+                f"{component.name}: the state is not finite after the step from t = {t:g} to {t + h:g}{cause}"
+            )
         self.time, self.z, self.ticks = end, z, ticks
 
     def _flow(self, z: np.ndarray, start: float, end: float) -> np.ndarray:

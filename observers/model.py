@@ -197,10 +197,35 @@ class Model:
             else ca.SX(0, 1),
             output=evaluate("output", self.output, self.outputs),
         )
+        self._check_finite(made)
         for variable, expression in zip(self.outputs, ca.vertsplit(made.output), strict=True):
             if not ca.depends_on(expression, ca.vertcat(made.x, made.z)):
                 raise ModelError(f"model '{self.name}': output '{variable.name}' depends on no state")
         return made
+
+    def _check_finite(self, made: Equations) -> None:
+        """Raise a ModelError that names the first equation which is not finite at the start values, at t = 0."""
+        groups = (
+            self.states,
+            self.algebraic,
+            self.inputs,
+            self.unknown_disturbances,
+            self.parameters,
+            self.unknown_parameters,
+        )
+        starts = [ca.DM([v.start for v in group]) for group in groups]
+        symbols = [made.x, made.z, made.u, made.w, made.p, made.theta, made.t]
+        for what, expressions, variables in (
+            ("ode", made.ode, self.states),
+            ("algebraic_equations", made.algebraic, self.algebraic),
+            ("output", made.output, self.outputs),
+        ):
+            values = ca.Function("at_start", symbols, [ca.densify(expressions)])(*starts, 0).full().ravel()
+            for variable, value in zip(variables, values, strict=True):
+                if not math.isfinite(value):
+                    raise ModelError(
+                        f"model '{self.name}', {what}: the equation for '{variable.name}' is {value:g} at the start values"
+                    )
 
     def __str__(self) -> str:
         lines = [f"Model {self.name}" + (f": {self.description}" if self.description else "")]

@@ -33,11 +33,12 @@ from observers.numerics.iteration import HUGE, MOST_ITERATIONS, solve
 from observers.numerics.layout import Layout
 from observers.numerics.least_squares import LeastSquares, known_terms
 from observers.numerics.pointwise import Pointwise, pointwise
-from observers.numerics.runge_kutta import runge_kutta
+from observers.numerics.runge_kutta import runge_kutta, stable_step
 from observers.numerics.semilinear import split, unreachable
 from observers.numerics.sliding import insert_input, insert_sample
 from observers.numerics.spline import spline_matrix
 
+WARM, AT_PREDICTION, AT_GUESS = 0, 1, 2  # where a solve starts from
 SMOOTHNESS = 2  # m of Assumption 2, for the bound (N - 1)^(3/2 - m)
 
 STATUS = Enumeration(
@@ -100,8 +101,15 @@ TUNING = (
         variability="tunable",
     ),
     Port(
+        "tuning.collocation_limit",
+        "scaled residual at node 0 above which the status is coarse_collocation",
+        start=0.02,
+        min=0.0,
+        variability="tunable",
+    ),
+    Port(
         "tuning.residual_limit",
-        "rms output residual above which the status is inconsistent",
+        "rms output residual, in units of the outputs' nominal values, above which the status is inconsistent",
         start=1e30,
         min=0.0,
         variability="tunable",
@@ -116,7 +124,12 @@ DIAGNOSTICS = (
         enumeration=STATUS,
         variability="discrete",
     ),
-    Port("diagnostics.cost", "integral of the squared output residual over the window", variability="discrete"),
+    Port(
+        "diagnostics.cost",
+        "integral over the window of the squared output residual, in units of the outputs' nominal values",
+        "s",
+        variability="discrete",
+    ),
     Port(
         "diagnostics.iterations", "Gauss-Newton iterations at the last sample", kind="Integer", variability="discrete"
     ),
@@ -152,17 +165,22 @@ def pseudospectral(
             not-a-knot cubic spline through the samples at the nodes (it waits for a full window, as the paper does).
         guess: start values of `guess.*` that differ from the model's.
         name: the component's name; `<model>_pseudospectral` if absent.
-        max_step: the longest prediction step [s] (Dormand-Prince, order 8).
+        max_step: the longest prediction step [s] (Dormand-Prince, order 8); shortened where the model's constant linear part is stiff.
         stop_time: of the default experiment [s].
 
     Raises:
         ModelError: algebraic variables or unknown disturbances, a state or unknown parameter that no output can ever see.
-        ValueError: N, L or sample_time out of range; an unknown cost.
+        ValueError: N, L or sample_time out of range, a window with fewer measurements than unknowns; an unknown cost.
     """
     refuse(model, "pseudospectral", "algebraic", "unknown_disturbances")
-    if N < 2 or L < 1 or (cost == "spline" and L < 3):
+    for name_of, value, least in (("N", N, 2), ("L", L, 3 if cost == "spline" else 1)):
+        if not isinstance(value, int) or value < least:
+            raise ValueError(f"pseudospectral: {name_of} = {value!r} must be a whole number of at least {least}")
+    unknowns = len(model.states) + len(model.unknown_parameters)
+    if (L + 1) * len(model.outputs) < unknowns:
         raise ValueError(
-            f"pseudospectral: N = {N} must be at least 2 and L = {L} at least {3 if cost == 'spline' else 1}"
+            f"pseudospectral: L = {L} gives {(L + 1) * len(model.outputs)} measurements in a window, "
+            f"too few for the {unknowns} states and unknown parameters of model '{model.name}'"
         )
     if not (math.isfinite(sample_time) and sample_time > 0):
         raise ValueError(f"pseudospectral: sample_time = {sample_time:g} must be positive")
@@ -181,7 +199,8 @@ def pseudospectral(
     problem = _problem(model, w, pointwise(parts, eq), cost)
     nx, ny = len(model.states), len(model.outputs)
     settings = Layout(
-        guess=nx + len(model.unknown_parameters),
+        guess_x=nx,
+        guess_theta=len(model.unknown_parameters),
         model=len(model.parameters),
         **{ports.last_name(port): 1 for port in TUNING},
     )
@@ -193,12 +212,21 @@ def pseudospectral(
 
     rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
     moved = runge_kutta(lambda x, time: rhs(x, known, q.model, s.theta, time), s.x, t, h)
+    sound = ca.sumsqr(moved) < HUGE
+    after = {
+        "x": ca.if_else(sound, moved, q.guess_x),
+        "theta": ca.if_else(sound, s.theta, q.guess_theta),
+        "input_integral": s.input_integral + h * known,
+        "fresh": ca.if_else(sound, s.fresh, AT_GUESS),
+        "status": ca.if_else(sound, s.status, CODE.solver_failed),
+        "failures": s.failures + ca.logic_not(sound),
+    }
     start = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {
-        "x": q.guess[:nx],
-        "theta": q.guess[nx:],
-        "x_filtered": q.guess[:nx],
-        "theta_filtered": q.guess[nx:],
-        "fresh": ca.DM(1),
+        "x": q.guess_x,
+        "theta": q.guess_theta,
+        "x_filtered": q.guess_x,
+        "theta_filtered": q.guess_theta,
+        "fresh": ca.DM(AT_PREDICTION),
         "status": ca.DM(CODE.propagated_guess),
         "model": q.model,
     }
@@ -211,9 +239,7 @@ def pseudospectral(
             f"N = {N}, L = {L}, Ts = {sample_time:g} s"
         ),
         start=ca.Function("start", [p, t], [state.pack(start)]),
-        flow=ca.Function(
-            "flow", [z, u, p, t, h], [state.replace(z, x=moved, input_integral=s.input_integral + h * known)]
-        ),
+        flow=ca.Function("flow", [z, u, p, t, h], [state.replace(z, **after)]),
         jump=jump,
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*measured)]),
         inputs=ports.inputs(model),
@@ -240,7 +266,7 @@ def pseudospectral(
         ),
         sample_time=sample_time,
         samples_inputs=True,
-        max_step=max_step,
+        max_step=stable_step(parts.A, max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
@@ -251,6 +277,11 @@ def pseudospectral(
 def _bound(N: int) -> float:
     """The right-hand side of (17), (20): (N - 1)^(3/2 - m)."""
     return float((N - 1) ** (1.5 - SMOOTHNESS))
+
+
+def _sees_inputs(model: Model) -> bool:
+    eq = model.equations
+    return bool(ca.depends_on(eq.output, eq.u)) if model.inputs else False
 
 
 def _problem(model: Model, w: Window, rates: Pointwise, cost: str) -> LeastSquares:
@@ -284,13 +315,14 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
         y=ny * (L + 1),  # the window's samples, oldest first, and their weights: 0 = not taken yet, or rejected
         weight=ny * (L + 1),
         u=nu * (L + (not held)),  # its known inputs: means over the intervals (held), or values at the samples (linear)
+        seen=nu * (L + 1) if _sees_inputs(model) else 0,  # and their values at the samples, where the outputs see them
         input_integral=nu,  # since the last sample
         V=problem.n_rates,  # the window's trajectory: rates at the nodes and first state
         x0=nx,
         innovation=ny,
         model=len(model.parameters),  # model parameters at the last sample
         k=1,  # samples so far
-        fresh=1,  # 1: the next solve starts from the flat guess
+        fresh=1,  # where the next solve starts from: WARM, AT_PREDICTION, AT_GUESS
         changed=1,  # samples until a changed model parameter has left the window
         status=1,
         cost=1,
@@ -312,21 +344,29 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
     Y, W = (insert_sample(ny, L + 1)(column, new, s.k) for column, new in ((s.y, y), (s.weight, valid)))
     U = insert_input(nu, L, held)(s.u, s.input_integral / w.sample_time if held else known, known, s.k)
     start_time = t - place * w.sample_time
-    data = known_terms(problem)(start_time, U, q.model)
+    seen = insert_input(nu, L, False)(s.seen, known, known, s.k) if _sees_inputs(model) else ca.MX(0, 1)
+    if cost == "spline":
+        at_points = ca.MX(ca.DM(np.kron(w.inputs_at(problem.points), np.eye(nu)))) @ U if nu else ca.MX(0, 1)
+    else:
+        at_points = seen if _sees_inputs(model) else ca.MX(ca.DM.zeros(nu * (L + 1)))
+    data = known_terms(problem)(start_time, U, at_points, q.model)
     measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.output])
     innovation = ca.if_else(valid, u[:ny] - measure(s.x, known, q.model, s.theta, t), 0)
 
     # Steps 5, 6 of the last sample, now that the input since then is known: the warm start.
-    fresh = ca.logic_or(s.fresh, ca.logic_not(ca.sumsqr(ca.vertcat(s.V, s.x0)) < HUGE))
-    flat_state = ca.if_else(moving, s.x, q.guess[:nx])
+    # A solve that failed is followed by one from a flat trajectory at the prediction, a second one by one at the guess.
+    flat_state = ca.if_else(ca.logic_and(moving, s.fresh < AT_GUESS), s.x, q.guess_x)
     flat = trajectory.flat(w, problem.rates.n)(flat_state, known)
     last_input = U[U.numel() - nu :] if nu else known
     rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
     moved = trajectory.shift(problem, rhs)(s.V, s.x0, s.u, s.x_filtered, s.x, s.theta, q.model, data, last_input, t)
+    fresh = ca.fmax(s.fresh, AT_PREDICTION * ca.logic_not(ca.sumsqr(ca.vertcat(s.V, s.x0, *moved)) < HUGE))
     V, x0 = (
-        ca.if_else(fresh, f, ca.if_else(moving, m, old)) for f, m, old in zip(flat, moved, (s.V, s.x0), strict=True)
+        ca.if_else(fresh > WARM, f, ca.if_else(moving, m, old))
+        for f, m, old in zip(flat, moved, (s.V, s.x0), strict=True)
     )
-    unknown = ca.vertcat(x0, ca.if_else(ca.logic_and(fresh, ca.logic_not(moving)), q.guess[nx:], s.theta))
+    from_guess = ca.logic_or(s.fresh == AT_GUESS, ca.logic_and(fresh > WARM, ca.logic_not(moving)))
+    unknown = ca.vertcat(x0, ca.if_else(from_guess, q.guess_theta, s.theta))
 
     # Step 3: Problem 2.
     if cost == "spline":
@@ -334,16 +374,19 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
         filled = ca.if_else(W, Y, trajectory.outputs_at_samples(w, measure)(V, x0, s.theta, q.model, U, start_time))
         compared = ca.MX(ca.DM(np.kron(spline, np.eye(ny)))) @ filled
         point_weight = ca.MX(ca.DM(np.repeat(lgl.weights(w.order) * w.length / 2, ny)))
-        enough = ca.logic_and(s.k >= L, ca.sum1(W) >= nx + nt)
+        # The trajectory stands in for rejected samples, but a flat first guess is no data.
+        enough = ca.logic_and(s.k >= L, ca.logic_or(ca.sum1(W) == ny * (L + 1), fresh == WARM))
     else:
         compared, point_weight = Y, w.sample_time * W
         enough = ca.sum1(W) >= nx + nt
     residual = output_residual(problem)(V, unknown, data, q.model, compared)
-    before = ca.dot(point_weight, residual**2)
+    units = ca.DM(np.tile([1 / v.nominal**2 for v in model.outputs], len(problem.points)))
+    scaled_weight = units * point_weight
+    before = ca.dot(scaled_weight, residual**2)
     wanted = ca.logic_and(enough, ca.sum1(valid) > 0)
-    due = ca.logic_and(wanted, ca.logic_or(before > q.cost_threshold, fresh))
+    due = ca.logic_and(wanted, ca.logic_or(ca.logic_not(before < q.cost_threshold), fresh > WARM))
     found = solve(problem)(
-        due, V, unknown, data, q.model, compared, point_weight, q.regularisation, q.tolerance, q.iteration_limit
+        due, V, unknown, data, q.model, compared, scaled_weight, q.regularisation, q.tolerance, q.iteration_limit
     )
     V_new, unknown_new, size, cost_after, conditioning, iterations = found
     finite = ca.sumsqr(ca.vertcat(V_new, unknown_new)) < HUGE
@@ -355,9 +398,10 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
 
     # The estimate of t_k, or the prediction where there is none.
     V, unknown = ca.if_else(accepted, V_new, V), ca.if_else(accepted, unknown_new, unknown)
-    x0, theta_fit = unknown[:nx], unknown[nx:]
-    x_fit = trajectory.state_at(w)(place, V, x0, U)
-    x, theta = ca.if_else(accepted, x_fit, s.x), ca.if_else(accepted, theta_fit, s.theta)
+    fitted = Layout(x0=nx, theta=nt).unpack(unknown)
+    x0 = fitted.x0
+    x = ca.if_else(accepted, trajectory.state_at(w)(place, V, x0, U), s.x)
+    theta = ca.if_else(accepted, fitted.theta, s.theta)
     node0 = trajectory.node0(problem)(V, x0, theta, q.model, start_time, U)
     cost_now = ca.if_else(accepted, cost_after, ca.if_else(enough, before, 0))
 
@@ -370,13 +414,14 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
     status = ca.if_else(moving + (s.k == L), CODE.converged, CODE.growing_window)
     for condition, code in (
         (kept, CODE.prediction_kept),
-        (node0 > _bound(w.order), CODE.coarse_collocation),
+        (ca.sum1(valid) < ny, CODE.sample_rejected),
+        (node0 > q.collocation_limit, CODE.coarse_collocation),
         (changed > 0, CODE.parameter_changed),
         (rms > q.residual_limit, CODE.inconsistent),
         (ca.logic_and(converged, ca.logic_not(determined)), CODE.undetermined),
         (failed, CODE.solver_failed),
         (ca.logic_not(enough), CODE.propagated_guess),
-        (ca.sum1(valid) < ny, CODE.sample_rejected),
+        (ca.sum1(valid) == 0, CODE.sample_rejected),
     ):
         status = ca.if_else(condition, code, status)
 
@@ -389,13 +434,16 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
             "y": Y,
             "weight": W,
             "u": U,
+            "seen": seen,
             "input_integral": ca.DM.zeros(nu),
             "V": V,
             "x0": x0,
             "innovation": innovation,
             "model": q.model,
             "k": s.k + 1,
-            "fresh": ca.if_else(accepted, 0, ca.if_else(failed, 1, fresh)),
+            "fresh": ca.if_else(
+                accepted, WARM, ca.if_else(failed, ca.if_else(s.fresh == AT_PREDICTION, AT_GUESS, AT_PREDICTION), fresh)
+            ),
             "changed": changed,
             "status": status,
             "cost": cost_now,

@@ -10,7 +10,8 @@ import casadi as ca
 from observers.component import Component, Port
 from observers.model import Model, Variable, refuse
 from observers.numerics import noise
-from observers.numerics.runge_kutta import runge_kutta
+from observers.numerics.runge_kutta import runge_kutta, stable_step
+from observers.numerics.semilinear import split
 
 NEVER = 1e30  # a jump time beyond any run
 
@@ -33,7 +34,7 @@ def plant(
 
     Args:
         jumps: how many jumps of which unknown parameters.
-        max_step: the longest step of the eighth-order Runge-Kutta method [s].
+        max_step: the longest step of the eighth-order Runge-Kutta method [s]; shortened where the model's constant linear part is stiff.
         stop_time, step_size: the default experiment [s].
 
     Raises:
@@ -89,6 +90,7 @@ def plant(
     z = ca.vertcat(x, noise_now, stream)
     eq = model.equations
     known = ca.vertcat(*[p[f"model.{q.name}"] for q in model.parameters])
+    longest = stable_step(split(eq.ode, eq.x, eq.u).A, max_step)
     rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
     measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.output])
 
@@ -132,12 +134,12 @@ def plant(
         outputs=tuple(outputs),
         sample_time="sensor.sample_time",
         breaks=tuple(port.name for port in jump_ports if port.name.split("[")[0].endswith("_jump_time")),
-        max_step=max_step,
+        max_step=longest,
         stop_time=stop_time,
         step_size=step_size,
         documentation=(
             f"<p>The model {model.name} as a plant, integrated with Dormand and Prince's eighth-order method in steps of at most "
-            f"{max_step:g} s. Measurement noise is made inside the plant by a Lehmer generator that gives the same sequence in every "
+            f"{longest:g} s. Measurement noise is made inside the plant by a Lehmer generator that gives the same sequence in every "
             "tool: y at the k-th sample instant carries the k-th draw.</p>"
         ),
     )

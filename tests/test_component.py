@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from toys import growing_toy, sampled_toy
 
 from observers.component import Component, Port
 from observers.instance import Instance
@@ -40,6 +41,11 @@ def counter(sample_time=0.1, **changes) -> Component:
         (dict(sample_time="period"), "'period' is no fixed parameter"),
         (dict(breaks=("switch",)), "'switch' is no fixed parameter"),
         (dict(counters=("losses",)), "the counter 'losses' is no output"),
+        (dict(sample_time=1e-12), "the sample time = 1e-12 must be 0 or finite and at least 1e-06 s"),
+        (dict(sample_time=float("nan")), "the sample time = nan must be"),
+        (dict(max_step=0.0), "max_step = 0 must be positive"),
+        (dict(stop_time=float("inf")), "stop_time = inf must be positive and finite"),
+        (dict(step_size=-0.1), "step_size = -0.1 must be positive"),
     ],
 )
 def test_a_contradictory_component_is_refused_with_the_reason(changes, message):
@@ -101,6 +107,7 @@ def test_several_sample_instants_in_one_step_of_a_plant_are_all_drawn():
         (0.0, 0.0, "h = 0 must be positive"),
         (0.0, -0.1, "h = -0.1 must be positive"),
         (float("nan"), 0.1, "but the current time is 0"),
+        (0.0, float("inf"), "h = inf must be positive"),
     ],
 )
 def test_a_wrong_step_is_refused_and_changes_nothing(t, h, message):
@@ -128,3 +135,33 @@ def test_a_parameter_out_of_range_is_refused_with_its_limits():
         Instance(counter(), {"gian": 1.0})
     with pytest.raises(ValueError, match="gain is fixed"):
         Instance(counter()).set("gain", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("tuning.mode", 3, r"tuning.mode = 3 lies outside \[1, 2\]"),
+        ("tuning.mode", 1.5, "tuning.mode = 1.5 is not a whole number"),
+        ("tuning.scale", float("nan"), r"tuning.scale = nan lies outside \[1, 5\]"),
+        ("tuning.gian", 1.0, "has no input or parameter 'tuning.gian'; known: start.level"),
+    ],
+)
+def test_integers_and_enumerations_are_checked_as_the_fmu_checks_them(name, value, message):
+    run = Instance(sampled_toy())
+    with pytest.raises(ValueError, match=message):
+        run.set(name, value)
+    run.step(0.0, 0.1)
+
+
+def test_unknown_names_are_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match="counter has no input 'v'; known: u"):
+        Instance(counter(), inputs={"v": 1.0})
+    with pytest.raises(ValueError, match="counter has no output 'sum'; known: count, seen, integral"):
+        Instance(counter()).get("sum")
+
+
+def test_an_impossible_start_is_refused():
+    with pytest.raises(ValueError, match="the start time nan is not finite"):
+        Instance(counter(), t0=float("nan"))
+    with pytest.raises(ValueError, match="growing_toy: the start values give no finite state at t = 0"):
+        Instance(growing_toy(), {"start.z": float("inf")})

@@ -90,6 +90,8 @@ def test_results_go_to_a_folder_of_the_systems_name(
         (("--set", "plant.model.damping=[bold]"), "'[bold]' is not a number"),
         (("--stop", "0.25"), "stop time 0.25 is not a multiple of the step size 0.1"),
         (("--step", "-1"), "step size -1 must be positive"),
+        (("--step", "1e-12"), "5e+12 steps of 1e-12 s up to 5 s are more than 100000000"),
+        (("--set", "plant.sensor.seed=2000000"), "'sensor.seed' = 2000000 lies outside [0, 1048576]"),
     ],
 )
 def test_a_users_mistake_is_one_line_and_status_2(

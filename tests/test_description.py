@@ -187,6 +187,8 @@ def test_a_unit_that_nobody_knows_is_refused_with_its_variable(unit: str) -> Non
         ({"inputs": (Port("u", "u", variability="tunable"),)}, "'u'.*continuous or discrete"),
         ({"outputs": (Port("a", "a", kind="Integer"), Port("b", "b"))}, "'a'.*cannot be continuous"),
         ({"outputs": (Port("a", "a", kind="Enumeration", variability="discrete"), Port("b", "b"))}, "'a'.*enumeration"),
+        ({"description": "a\x01b"}, r"'a\\x01b' holds control characters"),
+        ({"inputs": (Port("u", "\x00"),)}, r"'\\x00' of 'u' holds control characters"),
         ({"constants": (Port("c", "c", start=0.5, kind="Integer", variability="constant"),)}, "0.5.*'c'"),
     ],
 )

@@ -183,6 +183,7 @@ def test_an_override_that_does_not_fit_is_refused(
         (1.0, float("nan"), "step size nan must be positive"),
         (-1.0, 0.1, "stop time -1 must be finite and lie after the start time 0"),
         (float("inf"), 0.1, "stop time inf must be finite"),
+        (1e300, 0.1, r"1e\+301 steps of 0\.1 s up to 1e\+300 s are more than 100000000"),
     ],
 )
 def test_an_experiment_that_is_no_whole_number_of_steps_is_refused(
@@ -190,6 +191,15 @@ def test_an_experiment_that_is_no_whole_number_of_steps_is_refused(
 ) -> None:
     with pytest.raises(ExperimentError, match=message):
         run(observed, stop=stop, step=step)
+
+
+def test_a_record_that_memory_has_no_room_for_is_refused(observed: System, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(np, "empty", full)
+    with pytest.raises(ExperimentError, match=r"record of 10 steps of 0\.1 s does not fit into memory"):
+        run(observed, stop=1.0, step=0.1)
 
 
 def test_a_stop_time_that_only_rounding_keeps_from_a_multiple_is_accepted(observed: System) -> None:

@@ -47,6 +47,11 @@ def test_a_model_prints_its_dimensions_names_and_units():
         (dict(outputs=[], output=lambda x, u, p, t: []), "has no outputs"),
         (dict(input_between_samples="cubic"), "input_between_samples = 'cubic' must be 'held' or 'linear'"),
         (dict(algebraic=[Variable("z")]), "algebraic variables and algebraic_equations go together"),
+        (dict(ode=lambda x, u, p, t: [x.rate, 1 / x.angle]), "ode: the equation for 'rate' is inf at the start values"),
+        (
+            dict(output=lambda x, u, p, t: [ca.log(x.angle - 1)]),
+            "output: the equation for 'y' is nan at the start values",
+        ),
         (dict(name="a-b"), "'a-b' is not an identifier"),
     ],
 )

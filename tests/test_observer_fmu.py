@@ -1,6 +1,7 @@
 """The observer's FMU as a binary: time, state, threads, failures."""
 
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -149,3 +150,10 @@ def test_a_refused_call_names_the_culprit_and_loses_nothing(
     advance(slave, 30, 20)
     advance(clean, 30, 20)
     assert slave.outputs() == clean.outputs()
+
+
+def test_built_again_from_another_folder_the_observer_has_the_same_bytes(catalogue: Path, tmp_path: Path) -> None:
+    command = [sys.executable, str(Path(__file__).parents[1] / "build_fmus.py"), "--only", NAME, "--out", "again"]
+    subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHONHASHSEED": "7"}, capture_output=True, check=True)
+    again = tmp_path / "again" / f"{NAME}.fmu"
+    assert again.read_bytes() == (catalogue / "fmus" / f"{NAME}.fmu").read_bytes()

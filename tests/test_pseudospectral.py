@@ -44,7 +44,7 @@ def closed_form(y, u, first, L, Ts):
     F, c, rows, right = np.eye(3), np.zeros(3), [], []
     for i in range(L + 1):
         rows.append(C @ F)
-        right.append(y[first + i] - C @ c - [0, 0.2 * u[first + min(i, L - 1)]])
+        right.append(y[first + i] - C @ c - [0, 0.2 * u[first + i]])
         if i < L:
             F, c = step[:3, :3] @ F, step[:3, :3] @ c + step[:3, 3] * u[first + i]
     x0 = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
@@ -65,7 +65,6 @@ def test_on_a_linear_model_with_noise_the_estimate_is_the_least_squares_one(damp
         run.set("u", u[k])
         run.step(k * Ts, Ts)
         if k >= L:
-            # In y2 the input at the window's last instant is that of the interval before it: held, it jumps there.
             expected = closed_form(y, u, k - L, L, Ts)
             found = [run.get(f"filtered.x{i}") for i in (1, 2, 3)]
             np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max() + 1e-9)
@@ -123,12 +122,16 @@ def test_the_tiled_step_and_the_straight_line_step_are_the_same_algorithm(monkey
     for small in (least_squares.SMALL, 0):
         monkeypatch.setattr(least_squares, "SMALL", small)
         observer = pseudospectral(NONLINEAR, sample_time=0.1, N=7, L=6)
-        run = Instance(observer)
+        run, true = Instance(observer), Instance(plant(NONLINEAR))
         rng = np.random.default_rng(2)
         rows = []
         for k in range(20):
-            for name in ("y1", "y2", "u"):
-                run.set(name, 0.5 + 0.1 * rng.normal())
+            u = np.sin(0.3 * k)
+            for one in (run, true):
+                one.set("u", u)
+            for name in ("y1", "y2"):
+                run.set(name, true.get(name) + 0.01 * rng.normal())
+            true.step(0.1 * k, 0.1)
             run.step(0.1 * k, 0.1)
             rows.append(run.outputs())
         runs.append(np.array(rows))
@@ -355,3 +358,165 @@ def test_before_enough_samples_the_estimate_is_the_propagated_guess():
     ).y[:, -1]
     np.testing.assert_allclose([run.get("estimate.x1"), run.get("estimate.x2")], free, atol=1e-11)
     assert run.get("diagnostics.status") == CODE.propagated_guess
+
+
+def scalar(**changes):
+    """x' = -x with one output: the smallest model there is."""
+    arguments = dict(
+        name="scalar",
+        states=[Variable("a", start=1.0)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-x.a],
+        output=lambda x, u, p, t: [x.a],
+    )
+    return Model(**{**arguments, **changes})
+
+
+def test_a_model_of_one_state_and_nothing_else_is_estimated():
+    errors, _ = coupled(scalar(), pseudospectral(scalar(), sample_time=0.1), 20, 0.1, guess={"guess.a": 5.0})
+    assert errors[1:].max() < 1e-12
+
+
+@pytest.mark.parametrize("through", ["linear", "product"])
+def test_an_output_sees_the_input_of_its_own_instant(through):
+    model = linear(
+        outputs=[Variable("y1"), Variable("y2")],
+        output=lambda x, u, p, t: [x.x1 + u.u, x.x3] if through == "linear" else [x.x1 * (1 + 0.3 * u.u), x.x3],
+    )
+    u = np.random.default_rng(6).normal(size=100)
+    p, o = Instance(plant(model), {"start.x1": 1.0}), Instance(pseudospectral(model, sample_time=0.1, N=12, L=6))
+    for k in range(60):
+        for one in (p, o):
+            one.set("u", u[k])
+        o.set("y1", p.get("y1"))
+        o.set("y2", p.get("y2"))
+        true = p.get("x.x2")
+        p.step(0.1 * k, 0.1)
+        o.step(0.1 * k, 0.1)
+        if k >= 2:
+            assert abs(o.get("filtered.x2") - true) < 1e-8
+
+
+@pytest.mark.parametrize("outlier", [2e2, 1e4, 1e6, 1e10])
+def test_no_outlier_locks_the_observer_out(outlier):
+    p, o = started()
+    go_on(p, o, 20, 3, lambda y, k: y + outlier if k != 21 else y - outlier)
+    go_on(p, o, 23, 60)
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-8
+    assert o.get("diagnostics.status") == CODE.converged
+
+
+def test_a_guess_from_which_the_prediction_overflows_is_left_behind():
+    p, o = started(samples=40, guess__x1=50.0, guess__x2=-50.0)
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-8
+
+
+@pytest.mark.parametrize("rate", [60.0, 1000.0])
+def test_a_stiff_linear_part_shortens_the_prediction_step(rate):
+    model = Model(
+        name="stiff",
+        states=[Variable("a", start=1.0), Variable("b", start=0.5)],
+        outputs=[Variable("y1"), Variable("y2")],
+        ode=lambda x, u, p, t: [-rate * (x.a - x.b), ca.sin(t) - x.b],
+        output=lambda x, u, p, t: [x.a, x.b],
+    )
+    p, o = Instance(plant(model)), Instance(pseudospectral(model, sample_time=0.1, N=15, L=4))
+    for k in range(40):
+        o.set("y1", p.get("y1"))
+        o.set("y2", p.get("y2"))
+        p.step(0.1 * k, 0.1)
+        o.step(0.1 * k, 0.1)
+        if k > 4:
+            assert abs(o.get("estimate.a") - p.get("x.a")) < 1e-6
+
+
+def test_a_window_without_any_information_is_said_not_to_determine_the_state():
+    model = Model(
+        name="square",
+        states=[Variable("a", start=1.0), Variable("b", start=0.5)],
+        outputs=[Variable("y1"), Variable("y2")],
+        ode=lambda x, u, p, t: [-x.a, -0.5 * x.b],
+        output=lambda x, u, p, t: [x.a**2, x.b**2],
+    )
+    _, o = coupled(model, pseudospectral(model, sample_time=0.1), 20, 0.1, guess={"guess.a": 0.0, "guess.b": 0.0})
+    assert o.get("diagnostics.status") == CODE.undetermined
+
+
+def test_an_output_that_jumps_is_not_taken_for_a_linear_one():
+    model = Model(
+        name="pendulum",
+        states=[Variable("angle", start=1.0), Variable("rate", start=5.5)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [x.rate, -ca.sin(x.angle)],
+        output=lambda x, u, p, t: [ca.fmod(x.angle, 2 * ca.pi)],
+    )
+    errors, _ = coupled(model, pseudospectral(model, sample_time=0.05, N=12, L=10), 60, 0.05)
+    assert errors.max() < 1e-8
+
+
+@pytest.mark.parametrize("unit", [1e-8, 1.0, 1e6])
+def test_the_estimate_does_not_depend_on_the_outputs_unit(unit):
+    model = Model(
+        name="scaled",
+        states=DUFFING.states,
+        parameters=DUFFING.parameters,
+        inputs=DUFFING.inputs,
+        unknown_parameters=DUFFING.unknown_parameters,
+        outputs=[Variable("y", nominal=unit)],
+        ode=DUFFING.ode,
+        output=lambda x, u, p, t: [unit * (x.x1 + 0.5 * x.x2)],
+    )
+    errors, o = coupled(model, pseudospectral(model, sample_time=0.1), 60, 0.1, guess={"guess.theta": 0.1})
+    assert errors[8:].max() < 1e-7 and o.get("diagnostics.solver_failures") == 0
+
+
+@pytest.mark.parametrize("missing", [[0], [3], [3, 4]])
+def test_with_the_spline_cost_a_flat_guess_is_never_taken_for_data(missing):
+    p = Instance(plant(DUFFING))
+    o = Instance(
+        pseudospectral(DUFFING, sample_time=0.1, cost="spline"), {"guess.x1": 0.0, "guess.x2": 0.0, "guess.theta": 0.1}
+    )
+    for k in range(60):
+        true = p.get("x.x1")
+        o.set("y", np.nan if k in missing else p.get("y"))
+        p.step(0.1 * k, 0.1)
+        o.step(0.1 * k, 0.1)
+        if o.get("diagnostics.status") == CODE.converged:
+            assert abs(o.get("filtered.x1") - true) < 5e-3
+    assert o.get("diagnostics.status") == CODE.converged
+
+
+@pytest.mark.parametrize(("N", "L"), [(3, 8), (4, 8)])
+def test_an_order_too_low_for_the_window_is_said_where_it_costs_most(N, L):
+    p, o = Instance(plant(DUFFING)), Instance(pseudospectral(DUFFING, sample_time=0.1, N=N, L=L))
+    wrong = []
+    for k in range(200):
+        true = p.get("x.theta")
+        o.set("y", p.get("y"))
+        p.step(0.1 * k, 0.1)
+        o.step(0.1 * k, 0.1)
+        if o.get("diagnostics.status") == CODE.converged:
+            wrong.append(abs(o.get("filtered.theta") - true))
+    assert max(wrong, default=0.0) < 1.0  # up to 7 with the paper's bound on the residual as the limit
+
+
+def test_one_dead_sensor_of_two_does_not_hide_what_the_other_says():
+    observer = pseudospectral(linear(), sample_time=0.1, N=12, L=6)
+    p, o = Instance(plant(linear()), {"start.x1": 1.0}), Instance(observer, {"tuning.residual_limit": 0.1})
+    statuses = []
+    for k in range(40):
+        o.set("y1", p.get("y1") + (3.0 * (-1) ** k if k >= 30 else 0.0))
+        o.set("y2", np.nan if k >= 10 else p.get("y2"))
+        p.step(0.1 * k, 0.1)
+        o.step(0.1 * k, 0.1)
+        statuses.append(int(o.get("diagnostics.status")))
+    assert set(statuses[10:30]) == {CODE.sample_rejected}
+    assert CODE.inconsistent in statuses[30:]
+    assert o.get("diagnostics.rejected_samples") == 30
+
+
+def test_windows_that_can_never_suffice_and_orders_that_are_no_numbers_are_refused():
+    with pytest.raises(ValueError, match=r"L = 1 gives 2 measurements in a window, too few for the 3 states"):
+        pseudospectral(DUFFING, sample_time=0.1, L=1)
+    with pytest.raises(ValueError, match=r"N = 15.0 must be a whole number"):
+        pseudospectral(DUFFING, sample_time=0.1, N=15.0)  # type: ignore[arg-type]

@@ -99,6 +99,58 @@ def test_start_time_other_than_zero_shifts_the_sample_instants(slave: Make) -> N
         assert fmu.get("filtered.level") == face.get("filtered.level")
 
 
+@pytest.mark.parametrize("sample_time", [1e-12, 9.9e-7, math.inf])
+def test_an_impossible_sample_time_is_refused_by_both_faces(slave: Make, sample_time: float) -> None:
+    fmu = slave("duffing")
+    fmu.set("sensor.sample_time", sample_time)
+    fmu.fmu.setupExperiment()
+    fmu.fmu.enterInitializationMode()
+    words = f"duffing: sensor.sample_time = {sample_time:g} must be 0 or finite and at least 1e-06 s"
+    assert words in fmu.refuses(fmu.fmu.exitInitializationMode)
+    with pytest.raises(ValueError) as refused:
+        Instance(COMPONENTS["duffing"](), {"sensor.sample_time": sample_time})
+    assert words in str(refused.value)
+    fmu.set("sensor.sample_time", 1e-6)
+    fmu.fmu.exitInitializationMode()
+
+
+@pytest.mark.parametrize("sample_time", [1e-6, 1e7])
+def test_sample_times_far_from_the_step_size_neither_hang_nor_freeze(slave: Make, sample_time: float) -> None:
+    start = NOISY | {"sensor.sample_time": sample_time}
+    fmu, face = slave("duffing").initialize(start), Instance(COMPONENTS["duffing"](), start)
+    for k in range(5):
+        fmu.step(k * 1e-3, 1e-3)
+        face.step(k * 1e-3, 1e-3)
+    assert fmu.fmu.getRealStatus(fmi2LastSuccessfulTime) == face.time == pytest.approx(5e-3, abs=1e-15)
+    assert face.ticks == (1 if sample_time > 1 else 5000)
+    assert fmu.get("y") == face.get("y") and fmu.get("x.x1") == face.get("x.x1") != 2.0
+    assert "current time" in fmu.refuses(lambda: fmu.step(0.0, 1e-3))
+
+
+@pytest.mark.parametrize("t0", [-7.3, 1e6, 1.7e9])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_any_start_time_that_doubles_resolve_has_every_sample(slave: Make, t0: float, steps: int) -> None:
+    """At 1.7e9 s (a time of day in Unix seconds) sums of the same times differ by more than a nanosecond."""
+    fmu, face = slave("sampled_toy").initialize(t0=t0), Instance(COMPONENTS["sampled_toy"](), t0=t0)
+    h, t = 0.1 / steps, t0
+    for k in range(60 * steps):
+        for one in (fmu, face):
+            one.set("y", float(k // steps))
+        fmu.step(t0 + k * h, h)
+        face.step(t, h)
+        t += h
+        assert fmu.get("filtered.level") == pytest.approx(face.get("filtered.level"), abs=1e-5)
+    assert face.ticks == 60
+
+
+def test_a_time_too_large_for_the_sample_time_is_refused(slave: Make) -> None:
+    fmu, face = slave("sampled_toy").initialize(t0=1e15), Instance(COMPONENTS["sampled_toy"](), t0=1e15)
+    words = "times are exact to 0.89 s only, too coarse for the sample time 0.1"
+    assert words in fmu.refuses(lambda: fmu.step(1e15, 0.1))
+    with pytest.raises(ValueError, match=words):
+        face.step(1e15, 0.1)
+
+
 def test_outputs_in_initialization_mode_follow_the_parameters_set_last(slave: Make) -> None:
     fmu = slave("sampled_toy")
     fmu.fmu.setupExperiment()
@@ -247,6 +299,20 @@ def test_a_state_that_leaves_the_finite_numbers_is_refused_and_the_last_one_kept
     assert math.isfinite(values[-1]) and fmu.get("z") == values[-1]
     assert fmu.state() == states[-1]
     assert fmu.fmu.getRealStatus(fmi2LastSuccessfulTime) == pytest.approx((len(values) - 1) * 0.1)
+
+
+def test_an_input_that_makes_the_state_not_finite_is_named_by_both_faces(slave: Make) -> None:
+    fmu, face = slave("duffing").initialize(), Instance(COMPONENTS["duffing"]())
+    before = fmu.state()
+    fmu.set("u", math.nan)
+    face.set("u", math.nan)
+    words = "the state is not finite after the step from t = 0 to 0.1, where the input u is nan"
+    assert words in fmu.refuses(lambda: fmu.step(0.0, 0.1))
+    with pytest.raises(ValueError, match=words):
+        face.step(0.0, 0.1)
+    fmu.set("u", 0.0)
+    assert fmu.state() == before
+    fmu.step(0.0, 0.1)
 
 
 def test_start_values_without_a_finite_state_are_refused(slave: Make) -> None:

@@ -166,8 +166,16 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     if (!advance(self, &pair, end, &ticks))
         return fmi2Error;
     if (!all_finite(pair.z, component.n_states)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.",
-               component.name, currentCommunicationPoint, end);
+        size_t i = 0;
+        while (i < component.n_inputs && isfinite(self->u[i]))
+            i++;
+        if (i < component.n_inputs)
+            report(self, fmi2Error, LOG_ERROR,
+                   "%s: the state is not finite after the step from t = %.15g to %.15g, where the input %s is %g.",
+                   component.name, currentCommunicationPoint, end, component.variables[i].name, self->u[i]);
+        else
+            report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.",
+                   component.name, currentCommunicationPoint, end);
         return fmi2Error;
     }
     /* The counters are looked at in every step; otherwise the outputs wait until somebody asks. */

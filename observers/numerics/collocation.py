@@ -81,16 +81,13 @@ class Window:
 @in_high_precision
 def window(split: Split, order: int, samples: int, sample_time: float, input_kind: str = "held") -> Window:
     """The constants for polynomial order N = `order` over L = `samples` intervals. Cost O((N nx)^3), once, at build time."""
-    nx, nv = len(split.A), split.E.shape[1]
+    nx = len(split.A)
     half = arb(samples * sample_time) / 2
     integrate = table(matrix(lgl.differentiation_exact(order)[1:, 1:]).inv())  # A1: rates at the nodes to states
     S = matrix(np.eye(order * nx, dtype=int) - half * np.kron(integrate, _whole(split.A)))
-    Phi = table(S.solve(matrix(np.kron(np.ones((order, 1)), np.eye(nx)))))
-    Psi = (
-        table(S.solve(matrix(half * np.kron(integrate, _whole(split.E)))))
-        if nv
-        else np.empty((order * nx, 0), dtype=object)
-    )
+    right = np.hstack([_whole(np.kron(np.ones((order, 1)), np.eye(nx))), half * np.kron(integrate, _whole(split.E))])
+    both = table(S.solve(matrix(right)))
+    Phi, Psi = both[:, :nx], both[:, nx:]
     return Window(order, samples, sample_time, split, input_kind, Phi, Psi)
 
 

@@ -86,13 +86,14 @@ def _condense(problem: LeastSquares, kind: Any, V: Any, s: Any, data: Any, p: An
     groups = [w.order] if kind is ca.SX else tiles.sizes(w.order, max(1, tiles.TILE // rates.n))
     nq, nv, nx = rates.n_states, rates.n, problem.nx
     x0, theta = s[:nx], s[nx:]
+    collocated = {size: _collocated(rates, size, nx) for size in set(groups)}
     A: list[list[Any]] = []
     b: list[Any] = []
     first = 0
     for size in groups:
         q, v = slice(first * nq, (first + size) * nq), slice(first * nv, (first + size) * nv)
         xq = _affine(kind, PhQ[q], x0, PsQ[q], V, _rows(CQ, first, size))
-        slope, right = _collocated(rates, size, nx)(xq, _rows(e, first, size), p, theta, V[v], kind(ca.DM(PhQ[q])))
+        slope, right = collocated[size](xq, _rows(e, first, size), p, theta, V[v], kind(ca.DM(PhQ[q])))
         row, column = [], 0
         for other in groups:
             c = slice(column * nv, (column + other) * nv)
@@ -123,8 +124,10 @@ def _measured(
     *_, offset, CH, eh = split_data(problem, data)
     x0, theta = s[:nx], s[nx:]
     nh = rest.n_states
+    groups = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
+    observed = {size: _observed(rest, size) for size in set(groups)} if rest.n else {}
     out, first = [], 0
-    for size in [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny)):
+    for size in groups:
         rows, h = slice(first * ny, (first + size) * ny), slice(first * nh, (first + size) * nh)
         r = _affine(kind, CPh[rows], x0, CPs[rows], V, _rows(offset, first, size)) - y[rows]
         M = _sensitivity(kind, CPh[rows], CPs[rows], sol, problem.n_theta) if sol is not None else None
@@ -132,7 +135,7 @@ def _measured(
             xh = _affine(kind, PhH[h], x0, PsH[h], V, _rows(CH, first, size))
             eh_rows = _rows(eh, first, size)
             embed = ca.DM(np.kron(np.eye(size), problem.output.E))
-            value, slope, by_theta = _observed(rest, size)(xh, eh_rows, p, theta)
+            value, slope, by_theta = observed[size](xh, eh_rows, p, theta)
             r = r + ca.mtimes(embed, value)
             if M is not None:
                 moved = _sensitivity(kind, PhH[h], PsH[h], sol or [], problem.n_theta)
@@ -238,6 +241,6 @@ def _reduced(scale: tuple[float, ...]) -> ca.Function:
         H, g = ca.mtimes([S, full[1:, 1:], S]), ca.mtimes(S, full[1:, 0])
         step, pivots = linear.ldl_solve(H + lam * ca.DM.eye(ns), -g)
         cost = full[0, 0] + 2 * ca.dot(g, step) + ca.dot(step, ca.mtimes(H, step))
-        return ca.mtimes(S, step), ca.mmin(pivots) / ca.mmax(pivots), ca.fmax(cost, 0)
+        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0)
 
     return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)

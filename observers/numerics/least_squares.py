@@ -64,41 +64,41 @@ class LeastSquares:
 
 
 def known_terms(problem: LeastSquares) -> ca.Function:
-    """Function known_terms(t_start, U, p) -> data: everything that stays fixed within a sample.
+    """Function known_terms(t_start, U, seen, p) -> data: everything that stays fixed within a sample.
 
     The parts of `data`: forced response of the Q states at the nodes (nq N), known terms of phi at the nodes (ne N), C Xi U + D u at
-    the points (ny m), forced response and known terms of h_n at the points ((nqh + neh) m). U is the stacked inputs of the window.
+    the points (ny m), forced response and known terms of h_n at the points ((nqh + neh) m). U is the stacked inputs of the
+    window's intervals (held) or samples (linear), `seen` (nu m) those at the points, which the outputs see.
     """
     w, rates, rest = problem.window, problem.rates, problem.output_rest
     nodes = w.node_times[1:]
-    at_nodes, at_points = w.inputs_at(nodes), w.inputs_at(problem.points)
+    at_nodes = w.inputs_at(nodes)
     nu = w.split.B.shape[1]
     count = at_nodes.shape[1]
     t, p, U = ca.MX.sym("t"), ca.MX.sym("p", problem.n_parameters), ca.MX.sym("U", count * nu)
     XiQ = w.at(nodes, w.split.states)[2]
     xi_points = w.at(problem.points)[2]
-    offset = product(np.kron(np.eye(len(problem.points)), problem.output.A), xi_points) + np.kron(
-        at_points, problem.output.B
-    )
+    seen = ca.MX.sym("seen", len(problem.points) * nu)
+    offset = product(np.kron(np.eye(len(problem.points)), problem.output.A), xi_points)
+    through = np.kron(np.eye(len(problem.points)), problem.output.B)
     XiH = w.at(problem.points, problem.output.states)[2]
 
-    def terms(part: Pointwise, weights: np.ndarray, times: np.ndarray) -> ca.MX:
+    def terms(part: Pointwise, inputs: ca.MX, times: np.ndarray) -> ca.MX:
         if part.n_known == 0 or len(times) == 0:
             return ca.MX(0, 1)
-        stacked = ca.MX(ca.DM(np.kron(weights, np.eye(nu)))) @ U if nu else ca.MX(0, 1)
-        values = [part.known(t + float(time), stacked[i * nu : (i + 1) * nu], p) for i, time in enumerate(times)]
+        values = [part.known(t + float(time), inputs[i * nu : (i + 1) * nu], p) for i, time in enumerate(times)]
         return ca.vertcat(*values)
 
-    def response(matrix: np.ndarray) -> ca.MX:
-        return ca.MX(ca.DM(matrix)) @ U if matrix.size and matrix.any() else ca.MX(ca.DM.zeros(matrix.shape[0], 1))
+    def response(matrix: np.ndarray, inputs: ca.MX) -> ca.MX:
+        return ca.MX(ca.DM(matrix)) @ inputs if matrix.size and matrix.any() else ca.MX(ca.DM.zeros(matrix.shape[0], 1))
 
     parts = [
-        response(XiQ),
-        terms(rates, at_nodes, nodes),
-        response(offset),
-        ca.vertcat(response(XiH), terms(rest, at_points, problem.points)),
+        response(XiQ, U),
+        terms(rates, ca.MX(ca.DM(np.kron(at_nodes, np.eye(nu)))) @ U if nu else ca.MX(0, 1), nodes),
+        response(offset, U) + response(through, seen),
+        ca.vertcat(response(XiH, U), terms(rest, seen, problem.points)),
     ]
-    function = ca.Function("known_terms", [t, U, p], [ca.vertcat(*parts)])
+    function = ca.Function("known_terms", [t, U, seen, p], [ca.vertcat(*parts)])
     return function.expand() if problem.is_small else function
 
 

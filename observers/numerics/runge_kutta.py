@@ -24,6 +24,9 @@ class Tableau:
     order: int
 
 
+STABLE = (
+    3.0  # |h lambda| inside DORMAND_PRINCE_8's region of stability, with a margin, for lambda in the left half plane
+)
 DORMAND_PRINCE_8 = Tableau(np.asarray(DOP853.A), np.asarray(DOP853.B), np.asarray(DOP853.C), order=8)
 CLASSICAL_4 = Tableau(
     np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1, 0]]),
@@ -40,6 +43,18 @@ def runge_kutta(rhs: Callable[[Any, Any], Any], x: Any, t: Any, h: Any, tableau:
         increment = _combine(row, stages)
         stages.append(rhs(x if increment is None else x + h * increment, t + float(c) * h))
     return x + h * _combine(tableau.b, stages)
+
+
+def stable_step(A: np.ndarray, longest: float) -> float:
+    """The longest of `longest`, `longest` / 2, `longest` / 4, ... with which DORMAND_PRINCE_8 is stable for x' = A x.
+
+    Halved, not cut to size: the last bits of eigenvalues depend on the machine.
+    """
+    fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+    step = longest
+    while step * fastest > STABLE:
+        step /= 2
+    return step
 
 
 def _combine(weights: np.ndarray, stages: list[Any]) -> Any:

@@ -33,7 +33,7 @@ def split(f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
     """Split `f` (n x 1) by its Jacobian: entries that hold no symbol go to A and B, everything else to phi.
 
     Where df_i/dx_j is constant, f_i is x_j's term plus something without x_j (its other derivatives cannot depend on x_j
-    either), so phi_i is f_i with x_j = 0: exact, and without cancellation.
+    either), so phi_i is f_i with x_j = 0: exact, and without cancellation. Rows with fmod, floor and the like stay whole in phi.
     """
     A, B = _constant_entries(f, x), _constant_entries(f, u)
     rest = []
@@ -57,10 +57,21 @@ def unreachable(f: ca.SX, h: ca.SX, symbols: ca.SX, x: ca.SX) -> list[int]:
     return [int(j) for j in np.flatnonzero(~sees)]
 
 
+# Operations that jump where a derivative does not show it: d fmod(x, 1) / d x = 1.
+JUMPS = {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_SIGN}
+
+
+def _has_jumps(expression: ca.SX) -> bool:
+    f = ca.Function("f", ca.symvar(expression), [expression])
+    return any(f.instruction_id(k) in JUMPS for k in range(f.n_instructions()))
+
+
 def _constant_entries(f: ca.SX, symbols: ca.SX) -> np.ndarray:
     jacobian = ca.densify(ca.jacobian(f, symbols))
     values = np.zeros(jacobian.shape)
     for i in range(jacobian.shape[0]):
+        if _has_jumps(f[i]):
+            continue
         for j in range(jacobian.shape[1]):
             entry = ca.simplify(jacobian[i, j])
             if entry.is_constant():
