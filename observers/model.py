@@ -168,13 +168,15 @@ class Model:
                 values = list(equations(*arguments))
             except ModelError as error:
                 raise ModelError(f"model '{self.name}', {what}: {error}") from None
+            except Exception as error:  # a user's equations can fail in any way; the message says where
+                raise ModelError(f"model '{self.name}', {what}: {type(error).__name__}: {error}") from error
             if len(values) != len(variables):
                 names = ", ".join(v.name for v in variables)
                 raise ModelError(
                     f"model '{self.name}', {what}: {len(values)} expressions for {len(variables)} variables ({names})"
                 )
             for variable, value in zip(variables, values, strict=True):
-                if ca.SX(value).shape != (1, 1):
+                if not isinstance(value, (int, float, ca.DM, ca.SX)) or ca.SX(value).shape != (1, 1):
                     raise ModelError(
                         f"model '{self.name}', {what}: the expression for '{variable.name}' is not a scalar"
                     )

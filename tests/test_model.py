@@ -52,6 +52,13 @@ def test_a_model_prints_its_dimensions_names_and_units():
             dict(output=lambda x, u, p, t: [ca.log(x.angle - 1)]),
             "output: the equation for 'y' is nan at the start values",
         ),
+        (
+            dict(ode=lambda x, u, p: [x.rate, x.angle]),
+            "ode: TypeError: .* takes 3 positional arguments but 4 were given",
+        ),
+        (dict(ode=lambda x, u, p, t: None), "ode: TypeError: 'NoneType' object is not iterable"),
+        (dict(ode=lambda x, u, p, t: [x.rate, "x.angle"]), "the expression for 'rate' is not a scalar"),
+        (dict(ode=lambda x, u, p, t: [x.rate, 1.0 if x.angle > 0 else 2.0]), "model 'pendulum', ode: "),
         (dict(name="a-b"), "'a-b' is not an identifier"),
     ],
 )
