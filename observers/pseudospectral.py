@@ -28,13 +28,14 @@ from observers.component import Component, Enumeration, Port
 from observers.model import Model, ModelError, refuse
 from observers.numerics import lgl, trajectory
 from observers.numerics.collocation import Window, window
+from observers.numerics.equations import Equations
 from observers.numerics.gauss_newton import output_residual
 from observers.numerics.iteration import HUGE, MOST_ITERATIONS, solve
 from observers.numerics.layout import Layout
 from observers.numerics.least_squares import LeastSquares, known_terms
 from observers.numerics.pointwise import Pointwise, pointwise
 from observers.numerics.runge_kutta import runge_kutta, stable_step
-from observers.numerics.semilinear import split, unreachable
+from observers.numerics.semilinear import lift_inputs, split, unreachable
 from observers.numerics.sliding import insert_input, insert_sample
 from observers.numerics.spline import spline_matrix
 
@@ -194,9 +195,10 @@ def pseudospectral(
         )
         raise ModelError(f"pseudospectral: model '{model.name}' is not observable: no output ever sees {names}")
 
-    parts = split(eq.ode, eq.x, eq.u)
+    lifted, lift = lift_inputs(eq)
+    parts = split(lifted.ode, lifted.x, lifted.u)
     w = window(parts, N, L, sample_time, model.input_between_samples)
-    problem = _problem(model, w, pointwise(parts, eq), cost)
+    problem = _problem(model, lifted, w, pointwise(parts, lifted), cost)
     nx, ny = len(model.states), len(model.outputs)
     settings = Layout(
         guess_x=nx,
@@ -204,7 +206,7 @@ def pseudospectral(
         model=len(model.parameters),
         **{ports.last_name(port): 1 for port in TUNING},
     )
-    jump, state = _jump(model, problem, settings, cost)
+    jump, state = _jump(model, lifted, lift, problem, settings, cost)
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", ny + len(model.inputs))
     p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), settings.unpack(p)
@@ -216,7 +218,7 @@ def pseudospectral(
     after = {
         "x": ca.if_else(sound, moved, q.guess_x),
         "theta": ca.if_else(sound, s.theta, q.guess_theta),
-        "input_integral": s.input_integral + h * known,
+        "input_integral": s.input_integral + h * lift(known, q.model),
         "fresh": ca.if_else(sound, s.fresh, AT_GUESS),
         "status": ca.if_else(sound, s.status, CODE.solver_failed),
         "failures": s.failures + ca.logic_not(sound),
@@ -284,9 +286,8 @@ def _sees_inputs(model: Model) -> bool:
     return bool(ca.depends_on(eq.output, eq.u)) if model.inputs else False
 
 
-def _problem(model: Model, w: Window, rates: Pointwise, cost: str) -> LeastSquares:
+def _problem(model: Model, eq: Equations, w: Window, rates: Pointwise, cost: str) -> LeastSquares:
     """Problem 2's data: where the outputs are compared, and in which units steps are measured."""
-    eq = model.equations
     output = split(eq.output, eq.x, eq.u)
     nominal = np.array([v.nominal for v in (*model.states, *model.unknown_parameters)])
     return LeastSquares(
@@ -302,10 +303,12 @@ def _problem(model: Model, w: Window, rates: Pointwise, cost: str) -> LeastSquar
     )
 
 
-def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> tuple[ca.Function, Layout]:
+def _jump(
+    model: Model, eq: Equations, lift: ca.Function, problem: LeastSquares, settings: Layout, cost: str
+) -> tuple[ca.Function, Layout]:
     """The main algorithm of section 3.1 at one sample instant, and the layout of the state it works on."""
-    w, eq = problem.window, model.equations
-    nx, ny, nu, nt, L = problem.nx, problem.ny, len(model.inputs), problem.n_theta, w.samples
+    w = problem.window
+    nx, ny, nu, nt, L = problem.nx, problem.ny, eq.u.numel(), problem.n_theta, w.samples
     held = w.input_kind == "held"
     state = Layout(
         x=nx,  # the prediction: the estimate of the current time
@@ -332,9 +335,12 @@ def _jump(model: Model, problem: LeastSquares, settings: Layout, cost: str) -> t
         rejected=1,
         failures=1,
     )
-    z, u, p, t = (ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",)))
+    z, u, p, t = (
+        ca.MX.sym(*shape)
+        for shape in (("z", state.total), ("u", ny + len(model.inputs)), ("p", settings.total), ("t",))
+    )
     s, q = state.unpack(z), settings.unpack(p)
-    known = u[ny:] if nu else ca.MX(0, 1)
+    known = lift(u[ny:] if nu else ca.MX(0, 1), q.model)
 
     # Steps 1, 2: collect the measurement. A rejected one weighs nothing and never enters the window.
     valid = ca.fabs(u[:ny]) <= HUGE  # false for NaN

@@ -397,6 +397,28 @@ def test_an_output_sees_the_input_of_its_own_instant(through):
             assert abs(o.get("filtered.x2") - true) < 1e-8
 
 
+def test_an_input_behind_a_settable_gain_costs_no_more_than_one_without():
+    def worst(gain):
+        model = Model(
+            name="forced",
+            states=DUFFING.states,
+            inputs=DUFFING.inputs,
+            parameters=[Variable("gain", start=1.0)] if gain else [],
+            unknown_parameters=DUFFING.unknown_parameters,
+            outputs=DUFFING.outputs,
+            ode=lambda x, u, p, t: [
+                x.x2,
+                -0.25 * x.x2 + x.x1 * (1 - x.x1**2) + p.theta * ca.cos(t) + (p.gain * u.u if gain else u.u),
+            ],
+            output=DUFFING.output,
+        )
+        observer = pseudospectral(model, sample_time=0.1)
+        return coupled(model, observer, 100, 0.1, inputs=np.sin, guess={"guess.theta": 0.1})[0][8:].max()
+
+    assert worst(gain=True) == pytest.approx(worst(gain=False), rel=1e-3)
+    assert worst(gain=True) < 5e-4
+
+
 @pytest.mark.parametrize("outlier", [2e2, 1e4, 1e6, 1e10])
 def test_no_outlier_locks_the_observer_out(outlier):
     p, o = started()

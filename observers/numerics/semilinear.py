@@ -6,10 +6,12 @@ What enters linearly with constant coefficients can be solved once and for all w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
+
+from observers.numerics.equations import Equations
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,28 @@ def split(f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
     rows = [i for i, expression in enumerate(rest) if not (expression.is_constant() and expression.is_zero())]
     phi = ca.vertcat(*[rest[i] for i in rows]) if rows else ca.SX(0, 1)
     return Split(A, B, np.eye(len(rest))[:, rows], phi, rows, _used(phi, x), _used(phi, u))
+
+
+def lift_inputs(eq: Equations) -> tuple[Equations, ca.Function]:
+    """(equations with more inputs, Function lift(u, p) -> those inputs): what u forces through settable gains becomes an input.
+
+    A term b(p) u_j of a row whose coefficient depends on parameters only is no constant, but as known as u: with w_i = sum_j b_ij(p) u_j
+    as a further input of row i it enters with coefficient 1, and its response is exact like that of B u.
+    """
+    slope = ca.densify(ca.jacobian(eq.ode, eq.u))
+    others = ca.vertcat(eq.x, eq.u, eq.theta, eq.t)
+    rows, forced = list(ca.vertsplit(eq.ode)), []
+    names = []
+    for i in range(slope.shape[0]):
+        entries = [ca.simplify(slope[i, j]) for j in range(slope.shape[1])]
+        through = [j for j, b in enumerate(entries) if not b.is_constant() and not ca.depends_on(b, others)]
+        if through and not _has_jumps(rows[i]):
+            w = ca.SX.sym(f"w{i}")
+            rows[i] = ca.substitute(rows[i], eq.u[through], ca.DM.zeros(len(through))) + w
+            forced.append(sum((entries[j] * eq.u[j] for j in through), ca.SX(0)))
+            names.append(w)
+    lifted = replace(eq, u=ca.vertcat(eq.u, *names), ode=ca.vertcat(*rows))
+    return lifted, ca.Function("lift", [eq.u, eq.p], [ca.vertcat(eq.u, *forced)])
 
 
 def unreachable(f: ca.SX, h: ca.SX, symbols: ca.SX, x: ca.SX) -> list[int]:
