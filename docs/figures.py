@@ -14,7 +14,8 @@ from cosim.master import run
 from cosim.results import Result
 from demo import ESTIMATED, errors
 from observers.instance import Instance
-from observers.pseudospectral import STATUS, pseudospectral
+from observers.pseudospectral import pseudospectral
+from observers.pseudospectral_ports import STATUS
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 

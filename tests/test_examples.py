@@ -14,7 +14,7 @@ from cosim.results import Result
 from cosim.system import Element, System
 from demo import errors
 from observers.instance import Instance
-from observers.pseudospectral import CODE
+from observers.pseudospectral_ports import CODE
 
 Catalogue = Callable[..., Result]
 

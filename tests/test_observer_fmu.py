@@ -13,7 +13,7 @@ import fmpy.validation
 import numpy as np
 import pytest
 
-from observers.pseudospectral import CODE
+from observers.pseudospectral_ports import CODE
 
 NAME = "duffing_pseudospectral"
 TRUE = [0.4 * math.sin(0.3 * k) + 2.0 * math.cos(0.17 * k) for k in range(400)]  # any signal will do

@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 
 from observers.instance import Instance
 from observers.model import Model, Variable
-from observers.pseudospectral import CODE, pseudospectral
+from observers.pseudospectral import pseudospectral
+from observers.pseudospectral_ports import CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 
