@@ -7,6 +7,7 @@ from functools import cache
 
 from observers.component import Component
 from observers.pseudospectral import pseudospectral
+from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from reference_models.recipe import Recipe, Source
@@ -39,6 +40,16 @@ FMUS: dict[str, Source] = {
     "duffing_pseudospectral_3b": (
         lambda: pseudospectral(
             DUFFING, sample_time=0.5, N=50, L=10, guess=GUESS, name="duffing_pseudospectral_3b", stop_time=50.0
+        ),
+        duffing,
+    ),
+    "duffing_ukf": (
+        lambda: ukf(
+            DUFFING,
+            sample_time=0.1,
+            process_noise={"x1": 1e-4, "x2": 1e-4, "theta": 0.03},
+            measurement_noise={"y": 1e-3},
+            guess=GUESS,
         ),
         duffing,
     ),
@@ -84,6 +95,7 @@ SYSTEMS: dict[str, Recipe] = {
     "gong_example_2": _gong(
         "Example 2: theta jumps at t = 10 and t = 20", stop=30.0, plant=JUMPS, observer={"tuning.residual_limit": 1e-6}
     ),
+    "gong_example_2_ukf": _gong("Example 2 with an unscented Kalman filter", "duffing_ukf", stop=30.0, plant=JUMPS),
     "gong_example_3a": _gong("Example 3: sampled every 0.01 s, L = 80, N = 15", "duffing_pseudospectral_3a", step=0.01),
     "gong_example_3b": _gong("Example 3: sampled every 0.5 s, L = 10, N = 50", "duffing_pseudospectral_3b", step=0.5),
 }

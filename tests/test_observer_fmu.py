@@ -13,6 +13,7 @@ import fmpy.validation
 import numpy as np
 import pytest
 
+from build_fmus import FMUS
 from observers.pseudospectral_ports import CODE
 
 NAME = "duffing_pseudospectral"
@@ -25,7 +26,7 @@ def advance(slave, first: int, count: int, h: float = 0.1) -> None:
         slave.step(0.1 * k, h)
 
 
-@pytest.mark.parametrize("name", ["duffing", NAME, NAME + "_spline", NAME + "_3a", NAME + "_3b", "sine"])
+@pytest.mark.parametrize("name", FMUS)
 def test_fmpy_finds_nothing_wrong_with_the_catalogue(catalogue: Path, name: str) -> None:
     assert fmpy.validation.validate_fmu(str(catalogue / "fmus" / f"{name}.fmu")) == []
 

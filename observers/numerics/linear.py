@@ -85,3 +85,32 @@ def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
         for k in range(i + 1, n):
             x[i] = x[i] - L[k][i] * x[k]
     return ca.vertcat(*x), ca.vertcat(*d)
+
+
+def left_transposed(L: ca.SX, b: ca.SX) -> ca.SX:
+    """b L^-1 with the lower triangle of `L`; b (m x n)."""
+    n = L.shape[0]
+    columns = [b[:, j] for j in range(n)]
+    for j in reversed(range(n)):
+        for k in range(j + 1, n):
+            columns[j] = columns[j] - columns[k] * L[k, j]
+        columns[j] = columns[j] / L[j, j]
+    return ca.horzcat(*columns)
+
+
+def square_root(A: ca.SX) -> ca.SX:
+    """The lower triangle S (n x n), S S' = A A', of A (n x m), m >= n, by modified Gram-Schmidt on the rows: the R of a QR of A'.
+
+    A row that depends on those before it gets a zero diagonal entry, not a division by zero.
+    """
+    n = A.shape[0]
+    rows = [A[i, :] for i in range(n)]
+    S = [[ca.SX(0)] * n for _ in range(n)]
+    for j in range(n):
+        length = ca.sqrt(ca.dot(rows[j], rows[j]))
+        S[j][j] = length
+        unit = rows[j] / ca.if_else(length > 0, length, 1)
+        for i in range(j + 1, n):
+            S[i][j] = ca.dot(rows[i], unit)
+            rows[i] = rows[i] - S[i][j] * unit
+    return ca.vertcat(*[ca.horzcat(*row) for row in S])
