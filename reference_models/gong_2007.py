@@ -1,4 +1,4 @@
-"""The experiments of Gong, Ross & Kang, "A pseudospectral observer for nonlinear systems", 2007: Examples 1 to 3."""
+"""The experiments of Gong, Ross & Kang, "A pseudospectral observer for nonlinear systems", 2007: Examples 1 to 5."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cache
 from observers.component import Component
 from observers.pseudospectral import pseudospectral
 from observers.ukf import ukf
-from reference_models.duffing import DUFFING
+from reference_models.duffing import DUFFING, DUFFING_KNOWN
 from reference_models.plant import plant
 from reference_models.recipe import Recipe, Source
 from reference_models.sine import sine
@@ -53,6 +53,16 @@ FMUS: dict[str, Source] = {
         ),
         duffing,
     ),
+    "duffing_pseudospectral_5": (
+        lambda: pseudospectral(DUFFING, sample_time=0.1, N=50, L=50, guess=GUESS, name="duffing_pseudospectral_5"),
+        duffing,
+    ),
+    "duffing_known_pseudospectral": (
+        lambda: pseudospectral(
+            DUFFING_KNOWN, sample_time=0.1, N=50, L=50, guess={"x1": 0.0, "x2": 0.0}, stop_time=60.0
+        ),
+        duffing,
+    ),
     "sine": (sine, None),
 }
 
@@ -64,6 +74,19 @@ JUMPS = {
     "model.theta_jump_value[1]": 0.1,
     "model.theta_jump_time[2]": 20.0,
     "model.theta_jump_value[2]": 0.3,
+}
+
+
+NOISY_JUMPS = {
+    "start.x1": 0.5,
+    "start.x2": -0.5,
+    "model.theta": 0.4,
+    "model.theta_jump_time[1]": 15.0,
+    "model.theta_jump_value[1]": 0.1,
+    "model.theta_jump_time[2]": 35.0,
+    "model.theta_jump_value[2]": 0.6,
+    "sensor.noise_bound": 0.1,
+    "sensor.sample_time": 0.1,
 }
 
 
@@ -98,4 +121,22 @@ SYSTEMS: dict[str, Recipe] = {
     "gong_example_2_ukf": _gong("Example 2 with an unscented Kalman filter", "duffing_ukf", stop=30.0, plant=JUMPS),
     "gong_example_3a": _gong("Example 3: sampled every 0.01 s, L = 80, N = 15", "duffing_pseudospectral_3a", step=0.01),
     "gong_example_3b": _gong("Example 3: sampled every 0.5 s, L = 10, N = 50", "duffing_pseudospectral_3b", step=0.5),
+    "gong_example_4_plain": _gong(
+        "Example 4: theta known, noise in [-1, 1], L = N = 50, without bounds on the noise",
+        "duffing_known_pseudospectral",
+        stop=60.0,
+        plant={"start.x1": 1.0, "start.x2": 2.0, "sensor.noise_bound": 1.0, "sensor.sample_time": 0.1},
+    ),
+    "gong_example_5": _gong(
+        "Example 5: theta jumps at t = 15 and t = 35, noise in [-0.1, 0.1], L = N = 50",
+        "duffing_pseudospectral_5",
+        plant=NOISY_JUMPS,
+        observer={"tuning.residual_limit": 0.1},
+    ),
+    "gong_example_5_ukf": _gong(
+        "Example 5 with an unscented Kalman filter",
+        "duffing_ukf",
+        plant=NOISY_JUMPS,
+        observer={"tuning.process_noise.theta": 0.03, "tuning.measurement_noise.y": 0.0577},
+    ),
 }
