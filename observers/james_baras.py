@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from observers import ports, tuning
-from observers.certificates import CERTIFIED, Certificate, certificate, certificate_ports, certify
+from observers.certificates import CERTIFIED, NONE, Certificate, certificate, certificate_ports, certify
 from observers.component import Component, Enumeration, Port
 from observers.linearisation import Linearisation, linearisation
 from observers.model import Model, refuse
@@ -245,8 +245,9 @@ def _jump(v: SimpleNamespace, line: Linearisation, design: SimpleNamespace, know
     values = ca.vertcat(q.model, q.N, q.R, q.Q0)
     wanted = [*(p.start for p in model.parameters), *(p.start for key in ("N", "R", "Q0") for p in getattr(design, key).ports)]
     holds = ca.logic_and(ca.sumsqr(values - ca.DM(wanted)) == 0, known.inside(ca.if_else(finite, m, s.m), v.u))
-    certified, rate = certify(known, s.guess_error, ca.logic_and(holds, s.certified > 1))
     rejected = ca.sum1(valid) < ny
+    holds = ca.logic_and(ca.logic_and(holds, ca.logic_not(rejected)), s.certified > NONE)
+    certified, rate = certify(known, s.guess_error, holds)
     status = ca.if_else(rejected, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed))
     m = ca.if_else(finite, m, s.m)
     return v.state.replace(
