@@ -1,7 +1,8 @@
 """The convergence certificates of James & Baras 1987, section 3 and (2.3), (2.6): how far off a guess may be, and the guaranteed rate.
 
-The suprema of |A|, |H|, ... are bounded by interval arithmetic over the model's bounds (states, unknown parameters, inputs, all times; known
-parameters at their start values), cell by cell; eigenvalues of the cells' matrices in doubles, rounded to nine digits: that is the margin.
+The suprema of |A|, |H|, ... are bounded by interval arithmetic over the model's bounds (states, unknown parameters, inputs, all times;
+known parameters at their start values), cell by cell; eigenvalues of the cells' matrices in doubles, rounded to nine digits: that is the
+margin.
 
 What deviates from the paper, and why:
 - (3.8), the bound p of |P|, is wrong as printed (it gives p < |P0|). Comparing P with a scalar Riccati equation gives
@@ -56,7 +57,10 @@ CERTIFIED = (
         variability="discrete",
     ),
     Port(
-        "diagnostics.guaranteed_rate", "guaranteed exponential decay of the error; 0: none", "1/s", variability="discrete"
+        "diagnostics.guaranteed_rate",
+        "guaranteed exponential decay of the error; 0: none",
+        "1/s",
+        variability="discrete",
     ),
 )
 
@@ -130,10 +134,12 @@ class Certificate:
         ]
 
     def html(self) -> str:
-        lines = "".join(f"<tr><td>{name}</td><td>{what}</td><td>{value:.6g}</td></tr>" for name, what, value in self.rows())
+        lines = "".join(
+            f"<tr><td>{name}</td><td>{what}</td><td>{value:.6g}</td></tr>" for name, what, value in self.rows()
+        )
         return (
-            "<p>Certificates, by interval arithmetic over the model's bounds at the start values of its parameters and of the tuning, for the "
-            f"limit of fast sampling; infinite where there is no bound:</p><table>{lines}</table>"
+            "<p>Certificates, by interval arithmetic over the model's bounds at the start values of its parameters and of the tuning, "
+            f"for the limit of fast sampling; infinite where there is no bound:</p><table>{lines}</table>"
         )
 
 
@@ -144,7 +150,7 @@ def certificate(model: Model, line: Linearisation, N: np.ndarray, R: np.ndarray,
     gradients = [Range(R_inverse @ c[1].middle, abs(R_inverse) @ c[1].radius) for c in cells]
     A, Dh, H = (_sup(_norm(x) for x in xs) for xs in ([c[0] for c in cells], [c[1] for c in cells], gradients))
     D2f, D2h = (_sup(_bilinear(c[i]) for c in cells) for i in (2, 3))
-    NN, r0 = _rounded(np.linalg.norm(N, 2) ** 2), _rounded(np.linalg.eigvalsh(N @ N.T).min())
+    NN, r0 = _rounded(float(np.linalg.norm(N, 2)) ** 2), _rounded(np.linalg.eigvalsh(N @ N.T).min())
     first = np.linalg.eigvalsh(Q0)
     Q0_norm, P0 = _rounded(first.max()), _rounded(1 / first.min())
     a = _sup(_largest(Range(-c[0].middle, c[0].radius)) for c in cells)
@@ -159,7 +165,7 @@ def certificate(model: Model, line: Linearisation, N: np.ndarray, R: np.ndarray,
         q = min(q, max(Q0_norm, (growth + math.sqrt(growth**2 + rank**2 * NN)) / rank**2))
     q_paper = Q0_norm + forcing
 
-    R1 = _rounded(np.linalg.norm(R_inverse, 2) ** 2)
+    R1 = _rounded(float(np.linalg.norm(R_inverse, 2)) ** 2)
 
     def bracket(q: float) -> float:
         return _times(math.sqrt(p), D2f) + _times(math.sqrt(q) * R1, _times(Dh, D2h))
@@ -190,9 +196,7 @@ def certify(known: Certificate, distance: Any, holds: Any) -> tuple[Any, Any]:
     slack = known.r0 / known.q**2 - math.sqrt(known.P0) * known.C * distance
     rate = ca.fmax(slack, max(known.delta, 0.0)) / (2 * known.p)
     code = ca.if_else(slack > 0, INSIDE, OUTSIDE)
-    if known.delta > 0:
-        code = ca.MX(ANYWHERE)
-    elif known.C == 0:
+    if known.delta > 0 or known.C == 0:
         code = ca.MX(ANYWHERE)
     return ca.if_else(holds, code, NONE), ca.if_else(holds, rate, 0)
 
@@ -216,12 +220,17 @@ def _cells(model: Model, line: Linearisation) -> list[list[Any]]:
     flat = ca.vertcat(*[ca.vec(ca.densify(e)) for e in expressions])
     used = ca.which_depends(flat, symbols, 1, False)
     cut = [
-        i for i, v in enumerate(variables) if used[i] and math.isfinite(v.min) and math.isfinite(v.max) and v.min < v.max
+        i
+        for i, v in enumerate(variables)
+        if used[i] and math.isfinite(v.min) and math.isfinite(v.max) and v.min < v.max
     ]
     pieces = max(1, math.floor(CELLS ** (1 / len(cut)))) if cut else 1
     found = []
     for index in itertools.product(range(pieces), repeat=len(cut)):
-        box = [_piece(v, index[cut.index(i)] if i in cut else 0, pieces if i in cut else 1) for i, v in enumerate(variables)]
+        box = [
+            _piece(v, index[cut.index(i)] if i in cut else 0, pieces if i in cut else 1)
+            for i, v in enumerate(variables)
+        ]
         n = len(line.variables)
         try:
             A, C, *rest = ranges(function, [box[:n], box[n:], parameters, [interval(-math.inf, math.inf)]])
@@ -260,7 +269,11 @@ def _closed(A: Range, H: Range, s: float) -> float:
 
 
 def _norm(x: Range) -> float:
-    return math.inf if not np.all(np.isfinite(x.radius)) else float(np.linalg.norm(x.middle, 2) + np.linalg.norm(x.radius, 2))
+    return (
+        math.inf
+        if not np.all(np.isfinite(x.radius))
+        else float(np.linalg.norm(x.middle, 2) + np.linalg.norm(x.radius, 2))
+    )
 
 
 def _largest(x: Range) -> float:

@@ -80,8 +80,8 @@ def james_baras(
 
     Args:
         sample_time: start value of the parameter `sample_time`, Ts [s].
-        N, R, Q0: the paper's design matrices: scalar, diagonal or whole, over the states and unknown parameters (N, Q0) and over the outputs
-            (R); start values of `tuning.*`. N in units of the state per sqrt(s), R in units of the output times sqrt(s), Q0 of the state
+        N, R, Q0: the paper's design matrices: scalar, diagonal or whole, over the states and unknown parameters (N, Q0) and over the
+            outputs (R); start values of `tuning.*`. N in units of the state per sqrt(s), R in units of the output times sqrt(s), Q0 of the state
             squared.
         guess: start values of `guess.*` (m0) that differ from the model's.
         expose: "Q" puts out the matrix Q, `diagnostics.Q[i,j]`.
@@ -243,7 +243,10 @@ def _jump(v: SimpleNamespace, line: Linearisation, design: SimpleNamespace, know
     finite = ca.sumsqr(ca.vertcat(m, Q_after)) < HUGE
     # The certificate holds for the design it was computed for, and while the estimate is where its bounds are valid.
     values = ca.vertcat(q.model, q.N, q.R, q.Q0)
-    wanted = [*(p.start for p in model.parameters), *(p.start for key in ("N", "R", "Q0") for p in getattr(design, key).ports)]
+    wanted = [
+        *(p.start for p in model.parameters),
+        *(p.start for key in ("N", "R", "Q0") for p in getattr(design, key).ports),
+    ]
     holds = ca.logic_and(ca.sumsqr(values - ca.DM(wanted)) == 0, known.inside(ca.if_else(finite, m, s.m), v.u))
     rejected = ca.sum1(valid) < ny
     holds = ca.logic_and(ca.logic_and(holds, ca.logic_not(rejected)), s.certified > NONE)
@@ -267,9 +270,9 @@ def _jump(v: SimpleNamespace, line: Linearisation, design: SimpleNamespace, know
 def _documentation(model: Model, known: Certificate, stiff: bool) -> str:
     how = "an exponential Rosenbrock step" if stiff else "Dormand and Prince's method of order 8"
     return (
-        f"<p>At every sample instant the estimate of the model {model.name} is corrected with the gain of a Riccati equation along it (James "
-        f"and Baras, University of Maryland, 1987); between samples the estimate moves by {how}. Connect the measurements and the known "
-        "inputs, and step with at most the sample time.</p>"
+        f"<p>At every sample instant the estimate of the model {model.name} is corrected with the gain of a Riccati equation along it "
+        f"(James and Baras, University of Maryland, 1987); between samples the estimate moves by {how}. Connect the measurements and "
+        "the known inputs, and step with at most the sample time.</p>"
         f"{known.html()}"
         "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
         "<code>filtered.*</code> of the last sample instant.</p>"

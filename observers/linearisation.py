@@ -14,8 +14,8 @@ from observers.numerics.semilinear import unreachable
 class Linearisation:
     """f and h of a model over m = (x, theta), n entries, with their derivatives.
 
-    `variables`: the n states and unknown parameters. Symbols `m` (n x 1), `u`, `p`, `t`; expressions `f` (n x 1), `h` (ny x 1), `A` = df/dm,
-    `C` = dh/dm, `f_t` = df/dt. Functions of (m, u, p, t): `rate`, `rate_t`, `jacobian`, `measure`, `gradient` of the same.
+    `variables`: the n states and unknown parameters. Symbols `m` (n x 1), `u`, `p`, `t`; expressions `f` (n x 1), `h` (ny x 1),
+    `A` = df/dm, `C` = dh/dm, `f_t` = df/dt. Functions of (m, u, p, t): `rate`, `rate_t`, `jacobian`, `measure`, `gradient` of the same.
     """
 
     variables: tuple[Variable, ...]

@@ -21,8 +21,8 @@ UNKNOWN = 1e30  # a bound that says nothing
 class Matrix:
     """A square matrix of tuning parameters.
 
-    `ports`: its parameters; `start` (n x n): its value at their start values. A diagonal has n parameters `tuning.<name>.<variable>`, a full
-    matrix n^2, `tuning.<name>[i,j]`, row by row.
+    `ports`: its parameters; `start` (n x n): its value at their start values. A diagonal has n parameters `tuning.<name>.<variable>`,
+    a full matrix n^2, `tuning.<name>[i,j]`, row by row.
     """
 
     ports: tuple[Port, ...]

@@ -18,8 +18,7 @@ def correction(n: int, ny: int) -> ca.Function:
     symmetric positive semidefinite whatever the gain's rounding (Joseph). For one output, scalars; for more, LU of C Q C' + Rd > 0.
     """
     m, Q, C, r, Rd, valid = (
-        ca.MX.sym(*shape)
-        for shape in (("m", n), ("Q", n, n), ("C", ny, n), ("r", ny), ("Rd", ny, ny), ("valid", ny))
+        ca.MX.sym(*shape) for shape in (("m", n), ("Q", n, n), ("C", ny, n), ("r", ny), ("Rd", ny, ny), ("valid", ny))
     )
     keep = ca.diag(valid)
     C_valid = keep @ C
@@ -28,9 +27,7 @@ def correction(n: int, ny: int) -> ca.Function:
     K = _solved(ny, n)(symmetric(C_valid @ QC + Rd_valid), QC.T).T
     L = ca.MX.eye(n) - K @ C_valid
     m_after = m + K @ (valid * r)
-    return ca.Function(
-        "correction", [m, Q, C, r, Rd, valid], [m_after, symmetric(L @ Q @ L.T + K @ Rd_valid @ K.T)]
-    )
+    return ca.Function("correction", [m, Q, C, r, Rd, valid], [m_after, symmetric(L @ Q @ L.T + K @ Rd_valid @ K.T)])
 
 
 @cache

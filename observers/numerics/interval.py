@@ -40,7 +40,11 @@ def ranges(function: ca.Function, box: Sequence[Sequence[arb]]) -> list[Range]:
     work: list[Any] = [None] * function.sz_w()
     results: list[Any] = [np.full(function.nnz_out(i), arb(0), dtype=object) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
-        code, inputs, outputs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        code, inputs, outputs = (
+            function.instruction_id(k),
+            function.instruction_input(k),
+            function.instruction_output(k),
+        )
         if code == ca.OP_CONST:
             work[outputs[0]] = arb(function.instruction_constant(k))
         elif code == ca.OP_INPUT:

@@ -48,7 +48,8 @@ def propagator(n: int, measured: bool = False) -> ca.Function:
 @cache
 def riccati_step(n: int) -> ca.Function:
     """riccati_step(Q, A, W, S, h) -> Q(h), n x n, symmetric positive semidefinite where Q, W and S are."""
-    Q, A, W, S, h = (ca.MX.sym(*shape) for shape in (*((name, n, n) for name in "QAWS"), ("h",)))
+    Q, A, W, S = (ca.MX.sym(name, n, n) for name in "QAWS")
+    h = ca.MX.sym("h")
     Phi, Wd, Sd = propagator(n, measured=True)(A, W, S, h)
     return ca.Function("riccati_step", [Q, A, W, S, h], [symmetric(Wd + Phi @ Q @ _inverse(n)(Sd @ Q) @ Phi.T)])
 
