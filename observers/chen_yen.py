@@ -31,7 +31,7 @@ import casadi as ca
 
 from observers import ports
 from observers.component import Component, Enumeration, Port
-from observers.linearisation import Linearisation, linearisation
+from observers.linearisation import Linearisation, linearisation, refuse_unobservable
 from observers.model import Model, ModelError, refuse
 from observers.numerics import linear
 from observers.numerics.iteration import HUGE
@@ -108,7 +108,8 @@ def chen_yen(
         ValueError: T, gamma or p0 is not positive, T is shorter than the sample time.
     """
     refuse(model, "chen_yen", "algebraic", "unknown_disturbances")
-    line = linearisation(model, "chen_yen")
+    refuse_unobservable(model, "chen_yen")
+    line = linearisation(model)
     if not linearise:
         _refuse_nonlinear(model, line)
     for what, value in (("gamma", gamma), ("p0", p0)):
@@ -223,8 +224,9 @@ def _jump(v: SimpleNamespace, line: Linearisation) -> Any:
     n, ny = len(line.variables), v.y.numel()
     one = ca.DM.eye(n).full().ravel()
     ended = s.samples >= ca.fmax(ca.floor(q.T / q.sample_time + 0.5), 1)
-    valid = ca.fabs(v.y) <= HUGE  # false for NaN
-    innovation = ca.if_else(valid, v.y - line.measure(s.x, v.u, q.model, v.t), 0)
+    residual = v.y - line.measure(s.x, v.u, q.model, v.t)
+    valid = ca.fabs(residual) <= HUGE  # false for NaN
+    innovation = ca.if_else(valid, residual, 0)
 
     update = _update(line, ny)
     sample = (v.u, q.model, v.t, ca.if_else(valid, v.y, 0), valid, q.gamma * q.sample_time)

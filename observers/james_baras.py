@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 from observers import ports, tuning
 from observers.certificates import CERTIFIED, NONE, Certificate, certificate, certificate_ports, certify
 from observers.component import Component, Enumeration, Port
-from observers.linearisation import Linearisation, linearisation
+from observers.linearisation import Linearisation, linearisation, refuse_undetectable
 from observers.model import Model, refuse
 from observers.numerics.correction import correction
 from observers.numerics.iteration import HUGE
@@ -80,9 +80,9 @@ def james_baras(
 
     Args:
         sample_time: start value of the parameter `sample_time`, Ts [s].
-        N, R, Q0: the paper's design matrices: scalar, diagonal or whole, over the states and unknown parameters (N, Q0) and over the
-            outputs (R); start values of `tuning.*`. N in units of the state per sqrt(s), R in units of the output times sqrt(s), Q0 of the state
-            squared.
+        N, R, Q0: the paper's design matrices: scalar, diagonal or whole, over the states and unknown parameters (N, Q0) and over
+            the outputs (R); start values of `tuning.*`. N in units of the state per sqrt(s), R in units of the output times
+            sqrt(s), Q0 of the state squared.
         guess: start values of `guess.*` (m0) that differ from the model's.
         expose: "Q" puts out the matrix Q, `diagnostics.Q[i,j]`.
         stiff: the mean by an exponential Rosenbrock step (order 2, any stiffness) instead of Runge-Kutta (order 8). None: where h |A|
@@ -92,14 +92,16 @@ def james_baras(
         stop_time: of the default experiment [s].
 
     Raises:
-        ModelError: algebraic variables or unknown disturbances, a state or unknown parameter that no output can ever see.
+        ModelError: algebraic variables or unknown disturbances, a state or unknown parameter that no output can ever see and that does
+            not decay by itself.
         ValueError: a design matrix of a wrong shape or singular, a Q0 that is not symmetric positive definite, an unknown name in `expose`.
     """
     refuse(model, "james_baras", "algebraic", "unknown_disturbances")
     unknown = sorted(set(expose) - {"Q"})
     if unknown:
         raise ValueError(f"james_baras: expose = {unknown[0]!r} is unknown; known: Q")
-    line = linearisation(model, "james_baras")
+    refuse_undetectable(model, "james_baras")
+    line = linearisation(model)
     design = _design(model, line, N, R, Q0)
     known = certificate(model, line, design.N.start, design.R.start, design.Q0.start)
     if stiff is None:
@@ -235,8 +237,9 @@ def _jump(v: SimpleNamespace, line: Linearisation, design: SimpleNamespace, know
     s, q = v.s, v.q
     n, ny = len(line.variables), len(model.outputs)
     at = (s.m, v.u, q.model, v.t)
-    valid = ca.fabs(v.y) <= HUGE  # false for NaN
-    innovation = ca.if_else(valid, v.y - line.measure(*at), 0)
+    residual = v.y - line.measure(*at)
+    valid = ca.fabs(residual) <= HUGE  # false for NaN
+    innovation = ca.if_else(valid, residual, 0)
     Q = ca.reshape(s.Q, n, n)
     m, Q_after = correction(n, ny)(s.m, Q, line.gradient(*at), innovation, v.R @ v.R.T / q.sample_time, valid)
     Q_after = ca.vec(Q_after)

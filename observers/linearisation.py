@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from observers.model import Model, ModelError, Variable
 from observers.numerics.semilinear import unreachable
@@ -53,19 +54,40 @@ class Linearisation:
         return self._function("gradient", self.C)
 
 
-def linearisation(model: Model, method: str) -> Linearisation:
-    """The linearisation of `model` for `method`, which names it in messages.
+def unseen(model: Model) -> list[int]:
+    """Indices, in (x, theta), of what no output ever sees, not even through other states."""
+    eq = model.equations
+    return unreachable(eq.ode, eq.output, ca.vertcat(eq.x, eq.theta), eq.x)
 
-    Raises:
-        ModelError: a state or unknown parameter that no output can ever see.
-    """
+
+def refuse_unobservable(model: Model, method: str) -> None:
+    """Raise a ModelError that names what no output of `model` ever sees, for `method`."""
+    names = [[*model.states, *model.unknown_parameters][i].name for i in unseen(model)]
+    if names:
+        raise ModelError(f"{method}: model '{model.name}' is not observable: no output ever sees {', '.join(names)}")
+
+
+def refuse_undetectable(model: Model, method: str) -> None:
+    """Raise a ModelError that names what no output of `model` ever sees, unless it decays by itself at the start values."""
+    hidden = unseen(model)
+    if not hidden:
+        return
+    line = linearisation(model)
+    start = [[v.start for v in group] for group in (line.variables, model.inputs, model.parameters)]
+    slowest = float(np.linalg.eigvals(line.jacobian(*start, 0.0).full()[np.ix_(hidden, hidden)]).real.max())
+    if slowest >= 0:
+        names = ", ".join(line.variables[i].name for i in hidden)
+        raise ModelError(
+            f"{method}: model '{model.name}' is not detectable: no output ever sees {names}, "
+            f"whose slowest mode has the rate {slowest:g} 1/s at the start values, not below 0"
+        )
+
+
+def linearisation(model: Model) -> Linearisation:
+    """The linearisation of `model`."""
     eq = model.equations
     m = ca.vertcat(eq.x, eq.theta)
     variables = (*model.states, *model.unknown_parameters)
-    unseen = unreachable(eq.ode, eq.output, m, eq.x)
-    if unseen:
-        names = ", ".join(variables[i].name for i in unseen)
-        raise ModelError(f"{method}: model '{model.name}' is not observable: no output ever sees {names}")
     f = ca.vertcat(eq.ode, ca.SX.zeros(eq.theta.numel()))
     return Linearisation(
         variables=variables,
