@@ -103,7 +103,9 @@ def test_it_converges_to_the_papers_continuous_observer_of_second_order_in_the_s
         e, Phi, P = z[:2], z[2:6].reshape(2, 2), z[6:].reshape(2, 2)
         w = Phi.T @ C_t(t).T
         gain = gamma * Phi @ P @ w
-        return np.concatenate([A_t(t) @ e - gain @ (C_t(t) @ e), (A_t(t) @ Phi).ravel(), (-gamma * P @ w @ w.T @ P).ravel()])
+        return np.concatenate(
+            [A_t(t) @ e - gain @ (C_t(t) @ e), (A_t(t) @ Phi).ravel(), (-gamma * P @ w @ w.T @ P).ravel()]
+        )
 
     z = np.concatenate([[-5, 5], np.eye(2).ravel(), p0 * np.eye(2).ravel()])
     for k in range(3):
@@ -119,7 +121,9 @@ def test_it_converges_to_the_papers_continuous_observer_of_second_order_in_the_s
         state = observer.z.copy()
         Phi, Y = state[2:6].reshape(2, 2).T, state[6:10].reshape(2, 2).T
         w = Phi.T @ C_t(6.0).T
-        x = state[:2] + gamma * Ts / 2 * Phi @ np.linalg.solve(Y + gamma * Ts / 2 * w @ w.T, w @ [true.get("y") - C_t(6.0) @ state[:2]])
+        x = state[:2] + gamma * Ts / 2 * Phi @ np.linalg.solve(
+            Y + gamma * Ts / 2 * w @ w.T, w @ [true.get("y") - C_t(6.0) @ state[:2]]
+        )
         gaps.append(np.linalg.norm(x - [true.get("x.x1"), true.get("x.x2")] - z[:2]))
     orders = np.log2(np.array(gaps[:-1]) / gaps[1:])
     # C(t) holds sqrt t, whose derivative is unbounded at t = 0: order 3/2 at first, 2 beyond.
@@ -165,8 +169,8 @@ def switched_error(max_step):
 
 
 def test_an_A_that_switches_between_samples_stays_stable_and_substeps_bound_its_error():
-    coarse, fine = switched_error(0.1), switched_error(0.002)
-    assert coarse < 0.1 and fine < coarse / 5
+    coarse, fine = switched_error(0.05), switched_error(0.002)
+    assert coarse < 0.05 and fine < coarse / 50
 
 
 def test_uniform_noise_leaves_an_rms_error_of_at_most_0_025():
@@ -180,7 +184,9 @@ def test_a_nonlinear_model_is_refused_by_name_unless_it_may_be_linearised():
     with pytest.raises(ModelError, match=r"duffing.*x2.*linearise=True"):
         chen_yen(DUFFING, sample_time=0.01, T=1.0)
     observer = Instance(
-        chen_yen(DUFFING, sample_time=0.01, T=1.0, gamma=100.0, p0=10.0, linearise=True, guess={"x1": 1.5, "theta": 0.3})
+        chen_yen(
+            DUFFING, sample_time=0.01, T=1.0, gamma=100.0, p0=10.0, linearise=True, guess={"x1": 1.5, "theta": 0.3}
+        )
     )
     errors = [np.linalg.norm(e) for e in drive(observer, Instance(plant(DUFFING)), 0.01, 2000)]
     assert errors[-1] < 1e-6
