@@ -255,7 +255,7 @@ def _detectability(pairs: list[tuple[Range, Range]], A: float, H: float, NN: flo
     for gain in GAINS:
         s = float(gain) * (A / H**2 if H > 0 else 0.0)
         alpha0 = -_sup(_closed(a, g, s) for a, g in pairs)
-        forcing = (NN + s**2 * H**2) / (2 * alpha0) if alpha0 > 0 else math.inf
+        forcing = _rounded((NN + s**2 * H**2) / (2 * alpha0)) if alpha0 > 0 else math.inf
         if forcing < best[2] or (best[2] == math.inf and alpha0 > best[1]):
             best = (s, alpha0, forcing)
     return best

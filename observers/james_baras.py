@@ -141,8 +141,7 @@ def james_baras(
     start["certified"], start["rate"] = certify(known, start["guess_error"], 1)
     entries = [(i, j) for i in range(n) for j in range(n)] if "Q" in expose else []
     Q_ports = tuple(
-        Port(f"diagnostics.Q[{i + 1},{j + 1}]", "covariance-like matrix Q of the gain, now", local=True)
-        for i, j in entries
+        Port(f"diagnostics.Q[{i + 1},{j + 1}]", "covariance-like matrix Q of the gain, now") for i, j in entries
     )
     measured = [s.m, s.m_filtered, s.status, s.innovation, s.certified, s.rate, s.rejected, s.failures]
     measured += [s.Q[i * n + j] for i, j in entries]

@@ -98,11 +98,9 @@ def test_with_noise_of_0_1_every_0_05_s_the_rms_error_is_at_most_0_025(example: 
     squares = []
     for seed in range(4):
         noisy = {
-            "plant.sensor.noise_bound": 0.1,
+            "plant.sensor.noise_std": 0.1,
             "plant.sensor.sample_time": 0.05,
             "plant.sensor.seed": seed,
-            "plant.start.x1": 0.0,
-            "plant.start.x2": 0.0,
             "observer.sample_time": 0.05,
         }
         result = example("chen_yen_short", step=0.05, overrides=noisy)
