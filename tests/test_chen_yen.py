@@ -58,10 +58,12 @@ def test_the_contraction_identity_holds_on_every_interval(T, Ts):
     # The error once the sample that ends an interval is in: it flows on by one sample, with that sample's weight in the next interval.
     w = C.T
     begin = np.linalg.inv(np.eye(3) / p0 + gamma * Ts / 2 * w @ w.T) / p0
-    errors = [np.array([-1.0, 2.0, -0.5])]
+    errors = []  # at the begin of each interval
     for k, error in enumerate(drive(observer, true, Ts, 8 * count + 1)):
         if k % count == 0:
             errors.append(np.linalg.solve(expm(A * Ts) @ begin, error))
+    np.testing.assert_allclose(errors[0], [-1.0, 2.0, -0.5], atol=1e-12)
+    assert len(errors) == 9
     for before, after in pairwise(errors):
         np.testing.assert_allclose(after, factor @ before, rtol=0, atol=1e-9)
     actual, certified = (observer.get(f"diagnostics.{name}") for name in ("contraction", "certified_contraction"))

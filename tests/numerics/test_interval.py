@@ -26,7 +26,7 @@ def test_a_range_holds_every_value(expression):
     found = ranges(function, [[interval(-1.0, 0.7)], [interval(-0.5, 2.0)]])[0]
     rng = np.random.default_rng(0)
     values = np.array(
-        [float(function(a, b)) for a, b in zip(rng.uniform(-1, 0.7, 500), rng.uniform(-0.5, 2, 500), strict=False)]
+        [float(function(a, b)) for a, b in zip(rng.uniform(-1, 0.7, 500), rng.uniform(-0.5, 2, 500), strict=True)]
     )
     assert np.isfinite(found.radius).all()
     assert np.all(np.abs(values - found.middle[0, 0]) <= found.radius[0, 0] * (1 + 1e-12))
