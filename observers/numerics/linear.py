@@ -57,6 +57,21 @@ def right_solve(LU: ca.SX, b: ca.SX) -> ca.SX:
     return ca.horzcat(*columns)
 
 
+def qr_solve(A: ca.SX, b: ca.SX) -> ca.SX:
+    """A^-1 b by Givens rotations, stable for every regular A (n x n); b (n x m)."""
+    n = A.shape[0]
+    rows = [ca.densify(ca.horzcat(A[i, :], b[i, :])) for i in range(n)]
+    for j in range(n):
+        for i in range(j + 1, n):
+            radius = ca.sqrt(rows[j][j] ** 2 + rows[i][j] ** 2)
+            regular = radius > 0
+            c = ca.if_else(regular, rows[j][j] / radius, 1)
+            s = ca.if_else(regular, rows[i][j] / radius, 0)
+            rows[j], rows[i] = c * rows[j] + s * rows[i], c * rows[i] - s * rows[j]
+    R = ca.vertcat(*rows)
+    return backward(R[:, :n], R[:, n:])
+
+
 def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
     """(H^-1 b, pivots) of a symmetric positive definite H (n x n) by L D L'; b (n x 1).
 

@@ -1,0 +1,103 @@
+"""A model linearised along a trajectory, its unknown parameters as states that do not move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from observers.model import Model, ModelError, Variable
+from observers.numerics.semilinear import unreachable
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """f and h of a model over m = (x, theta), n entries, with their derivatives.
+
+    `variables`: the n states and unknown parameters. Symbols `m` (n x 1), `u`, `p`, `t`; expressions `f` (n x 1), `h` (ny x 1),
+    `A` = df/dm, `C` = dh/dm, `f_t` = df/dt. Functions of (m, u, p, t): `rate`, `rate_t`, `jacobian`, `measure`, `gradient` of the same.
+    """
+
+    variables: tuple[Variable, ...]
+    m: ca.SX
+    u: ca.SX
+    p: ca.SX
+    t: ca.SX
+    f: ca.SX
+    h: ca.SX
+    A: ca.SX
+    C: ca.SX
+    f_t: ca.SX
+
+    def _function(self, name: str, expression: ca.SX) -> ca.Function:
+        return ca.Function(name, [self.m, self.u, self.p, self.t], [ca.densify(expression)])
+
+    @property
+    def rate(self) -> ca.Function:
+        return self._function("rate", self.f)
+
+    @property
+    def rate_t(self) -> ca.Function:
+        return self._function("rate_t", self.f_t)
+
+    @property
+    def jacobian(self) -> ca.Function:
+        return self._function("jacobian", self.A)
+
+    @property
+    def measure(self) -> ca.Function:
+        return self._function("measure", self.h)
+
+    @property
+    def gradient(self) -> ca.Function:
+        return self._function("gradient", self.C)
+
+
+def unseen(model: Model) -> list[int]:
+    """Indices, in (x, theta), of what no output ever sees, not even through other states."""
+    eq = model.equations
+    return unreachable(eq.ode, eq.output, ca.vertcat(eq.x, eq.theta), eq.x)
+
+
+def refuse_unobservable(model: Model, method: str) -> None:
+    """Raise a ModelError that names what no output of `model` ever sees, for `method`."""
+    names = [[*model.states, *model.unknown_parameters][i].name for i in unseen(model)]
+    if names:
+        raise ModelError(f"{method}: model '{model.name}' is not observable: no output ever sees {', '.join(names)}")
+
+
+def refuse_undetectable(model: Model, method: str) -> None:
+    """Raise a ModelError that names what no output of `model` ever sees, unless it decays by itself at the start values."""
+    hidden = unseen(model)
+    if not hidden:
+        return
+    line = linearisation(model)
+    start = [[v.start for v in group] for group in (line.variables, model.inputs, model.parameters)]
+    slowest = float(np.linalg.eigvals(line.jacobian(*start, 0.0).full()[np.ix_(hidden, hidden)]).real.max())
+    if slowest >= 0:
+        names = ", ".join(line.variables[i].name for i in hidden)
+        raise ModelError(
+            f"{method}: model '{model.name}' is not detectable: no output ever sees {names}, "
+            f"whose slowest mode has the rate {slowest:g} 1/s at the start values, not below 0"
+        )
+
+
+def linearisation(model: Model) -> Linearisation:
+    """The linearisation of `model`."""
+    eq = model.equations
+    m = ca.vertcat(eq.x, eq.theta)
+    variables = (*model.states, *model.unknown_parameters)
+    f = ca.vertcat(eq.ode, ca.SX.zeros(eq.theta.numel()))
+    return Linearisation(
+        variables=variables,
+        m=m,
+        u=eq.u,
+        p=eq.p,
+        t=eq.t,
+        f=f,
+        h=eq.output,
+        A=ca.jacobian(f, m),
+        C=ca.jacobian(eq.output, m),
+        f_t=ca.jacobian(f, eq.t),
+    )

@@ -1,0 +1,38 @@
+"""The exact correction of a Gaussian (m, Q) by a sample, in the form of Joseph."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+
+from observers.numerics import linear
+from observers.numerics.riccati import symmetric
+
+
+@cache
+def correction(n: int, ny: int) -> ca.Function:
+    """correction(m, Q, C, r, Rd, valid) -> (m, Q) after a sample with innovation r = C e + v, v of covariance Rd.
+
+    m (n), Q (n x n), C (ny x n), r (ny), Rd (ny x ny); valid (ny): 0 takes an entry of the sample out, as if it were not there. Q stays
+    symmetric positive semidefinite whatever the gain's rounding (Joseph). For one output, scalars; for more, LU of C Q C' + Rd > 0.
+    """
+    m, Q, C, r, Rd, valid = (
+        ca.MX.sym(*shape) for shape in (("m", n), ("Q", n, n), ("C", ny, n), ("r", ny), ("Rd", ny, ny), ("valid", ny))
+    )
+    keep = ca.diag(valid)
+    C_valid = keep @ C
+    Rd_valid = keep @ Rd @ keep + ca.diag(1 - valid)
+    QC = Q @ C_valid.T
+    K = _solved(ny, n)(symmetric(C_valid @ QC + Rd_valid), QC.T).T
+    L = ca.MX.eye(n) - K @ C_valid
+    m_after = m + K @ (valid * r)
+    return ca.Function("correction", [m, Q, C, r, Rd, valid], [m_after, symmetric(L @ Q @ L.T + K @ Rd_valid @ K.T)])
+
+
+@cache
+def _solved(n: int, m: int) -> ca.Function:
+    """solved(A, B) -> A^-1 B for a symmetric positive definite A (n x n), B (n x m)."""
+    A, B = ca.SX.sym("A", n, n), ca.SX.sym("B", n, m)
+    LU = linear.lu_factor(A)
+    return ca.Function("solved", [A, B], [linear.backward(LU, linear.forward(LU, B))])
