@@ -85,3 +85,9 @@ def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
         for k in range(i + 1, n):
             x[i] = x[i] - L[k][i] * x[k]
     return ca.vertcat(*x), ca.vertcat(*d)
+
+
+def inverse(A: ca.SX) -> ca.SX:
+    """A^-1 (n x n) by elimination without pivoting, see `lu_factor`."""
+    LU = lu_factor(A)
+    return backward(LU, forward(LU, ca.SX.eye(A.shape[0])))
