@@ -25,11 +25,11 @@ from cosim.ssp import write_ssp
 from cosim.system import Element, System
 from fmu_src import ExportError, export
 from observers.component import Component
-from reference_models import gong_2007
+from reference_models import gong_2007, nikoukhah_1995
 from reference_models.recipe import Recipe, Source
 
 # The papers, each with its FMUs and systems.
-PAPERS = (gong_2007,)
+PAPERS = (gong_2007, nikoukhah_1995)
 FMUS: dict[str, Source] = {name: made for paper in PAPERS for name, made in paper.FMUS.items()}
 SYSTEMS: dict[str, Recipe] = {name: recipe for paper in PAPERS for name, recipe in paper.SYSTEMS.items()}
 

@@ -234,12 +234,12 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
     if implicit:
         columns = [ca.vertcat(s.x_filtered, s.mu), *(s.past[i * (n + ny) : (i + 1) * (n + ny)] for i in range(order - 1))]
         x, mu, change, mu_dot = bdf_step(dae, gain, order)(s.x, s.mu, y, columns, s.k, u_end, q.model, t, Ts, q.gain)
-        d, y_kept, past = mu_dot[:nd], ca.MX(0, 1), ca.vertcat(*columns[: order - 1], ca.MX(0, 1))
+        d, y_kept, past = _head(mu_dot, nd), ca.MX(0, 1), ca.vertcat(*columns[: order - 1], ca.MX(0, 1))
     else:
         samples = [y, *(s.y[i * ny : (i + 1) * ny] for i in range(kept))]
         x, mu, change = w_step(dae, gain)(s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain)
         # delta is known up to a constant: it counts from sample to sample.
-        d, mu = mu[:nd] / Ts, ca.vertcat(ca.DM.zeros(nd), mu[nd:])
+        d, mu = _head(mu, nd) / Ts, ca.vertcat(ca.DM.zeros(nd), mu[nd:])
         y_kept, past = ca.vertcat(*samples[:kept]), ca.MX(0, 1)
     x_first, _, change_first = consistent(dae, ITERATIONS)(s.x, y, s.x, ca.DM.zeros(ny), q.model, t)
     x, mu = ca.if_else(first, x_first, x), ca.if_else(first, 0, mu)
@@ -254,7 +254,7 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
     singular = ca.logic_not(gain.gamma(x, known, q.model, t, q.gain)[1])
 
     scale = np.abs(dae.M.T) @ np.array([v.nominal for v in model.outputs])
-    size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale)) if dae.n_lambda else ca.MX(0)
+    size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale)) 
     detected = fault_detector.detect(s.fault, s.above, s.below, size, *ca.vertsplit(q.detector), Ts)
     fault, above, below = (
         ca.if_else(any_valid, new, old) for new, old in zip(detected, (s.fault, s.above, s.below), strict=True)
@@ -290,6 +290,11 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
     )
     jump = ca.Function("jump", [z, u, p, t], [result])
     return jump.expand("jump", {"cse": True}), state
+
+
+def _head(column: Any, count: int) -> Any:
+    """The first entries of a column; an empty slice would be 1 x 0."""
+    return column[:count] if count else ca.MX(0, 1)
 
 
 def _status() -> Port:
