@@ -22,7 +22,7 @@ from observers.numerics.complement import Complement, complement, exact_inverse
 class Dae:
     """The relaxed DAE's parts; n states (unknown parameters are states with zero rate), p outputs, q unknown disturbances.
 
-    Symbols: `x` (n), `u`, `p`, `t`, `d` (q). Expressions: `f` (n) at d = 0, `h` (p), `C` = h_x (p x n), `G` (n x p). Constants: `E` (n x q),
+    Symbols: `x` (n), `u`, `p`, `t`. Expressions: `f` (n) at d = 0, `h` (p), `C` = h_x (p x n), `G` (n x p). Constants: `E` (n x q),
     `M` (p x p - q), `rest` the complement of E, `Pi` = I - E (C E)^+ C (n x n), `N_inverse` = (C G)^-1 with disturbances, else None.
     """
 

@@ -72,9 +72,13 @@ def exact(dae: Dae, region: Region, poles: Sequence[float]) -> Gain:
         )
         for i, pole in enumerate(poles, start=1)
     )
-    guard = _guard("determinant of the observability matrix below which the gain is reduced instead of growing further", 1e-2)
+    guard = _guard(
+        "determinant of the observability matrix below which the gain is reduced instead of growing further", 1e-2
+    )
     used = f"v = {_row(v)}" + (f", J_p = {J_p.tolist()}" if J_p.any() else "")
-    return _gain(dae, K, ca.fabs(determinant) > eps, ca.vertcat(roots, eps), (*ports, guard), f"exact placement, {used}")
+    return _gain(
+        dae, K, ca.fabs(determinant) > eps, ca.vertcat(roots, eps), (*ports, guard), f"exact placement, {used}"
+    )
 
 
 def regional(dae: Dae, alpha: float, X: Sequence[float]) -> Gain:
@@ -145,7 +149,9 @@ def given(dae: Dae, model: Model, design: Design) -> Gain:
     Gamma = ca.vertcat(*[ca.horzcat(*row) for row in table])
     nothing = ca.SX(0, 1)
     return Gain(
-        ca.Function("gamma", [*dae.arguments, nothing], [ca.densify(Gamma), ca.SX(1)], {"cse": True}), (), "a given gain"
+        ca.Function("gamma", [*dae.arguments, nothing], [ca.densify(Gamma), ca.SX(1)], {"cse": True}),
+        (),
+        "a given gain",
     )
 
 
@@ -164,9 +170,7 @@ def observable_pair(dae: Dae) -> tuple[ca.SX, ca.SX]:
     return observability_matrix(C, A), dae.C
 
 
-def _gain(
-    dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ...], description: str
-) -> Gain:
+def _gain(dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ...], description: str) -> Gain:
     """Gamma of K, (3.7)."""
     A = ca.jacobian(dae.f, dae.x)
     if dae.n_disturbances == 0:
@@ -188,7 +192,9 @@ def _single_output(dae: Dae, region: Region, A: ca.SX, C: ca.SX) -> tuple[np.nda
     if p > 1:
         directions += [np.ones((1, p)), np.arange(1.0, p + 1).reshape(1, p)]
     injections = [np.zeros((n, p))]
-    injections += [np.array([[(3 * i + 5 * j + k) % 7 - 3.0 for j in range(p)] for i in range(n)]) for k in range(INJECTIONS)]
+    injections += [
+        np.array([[(3 * i + 5 * j + k) % 7 - 3.0 for j in range(p)] for i in range(n)]) for k in range(INJECTIONS)
+    ]
     failed = region.points[0]
     for J_p in injections:
         for v in directions:

@@ -31,10 +31,8 @@ def consistent(dae: Dae, iterations: int) -> ca.Function:
     arguments = [w, y, dae.x, mu, dae.p, dae.t]
     if dae.linear_outputs:
         gap = y - ca.substitute(dae.h, dae.x, w)
-        if dae.N_inverse is not None:
-            found = ca.mtimes(ca.DM(dae.N_inverse), gap)
-        else:
-            found = _solved(ca.mtimes(dae.C, dae.G), gap)
+        inverse = dae.N_inverse
+        found = _solved(ca.mtimes(dae.C, dae.G), gap) if inverse is None else ca.mtimes(ca.DM(inverse), gap)
         x = _with_measured_states(dae, w + ca.mtimes(dae.G, found), y)
         return ca.Function("consistent", arguments, [ca.densify(x), ca.densify(found), ca.SX(0)], {"cse": True})
     residual = ca.vertcat(dae.x - ca.mtimes(dae.G, mu) - w, dae.h - y)
@@ -109,9 +107,7 @@ def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, 
     moved = a_0 * both + older  # Ts (x', mu')
     Gamma = gain.gamma(*dae.arguments, tuning)[0]
     residual = ca.vertcat(
-        moved[: dae.n]
-        - ca.mtimes(dae.G, moved[dae.n :])
-        - Ts * (dae.f + ca.mtimes(Gamma, mu[dae.n_disturbances :])),
+        moved[: dae.n] - ca.mtimes(dae.G, moved[dae.n :]) - Ts * (dae.f + ca.mtimes(Gamma, mu[dae.n_disturbances :])),
         dae.h - y,
     )
     arguments = [both, y, a_0, older, dae.u, dae.p, dae.t, Ts, tuning]

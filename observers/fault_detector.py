@@ -17,7 +17,10 @@ FAULT = Enumeration(
         ("settling", "not armed yet: the residual has not stayed below the threshold for the settling time"),
         ("quiet", "armed, the residual lies below the threshold"),
         ("suspected", "the residual exceeds the threshold, but not yet for the persistence time"),
-        ("detected", "the residual has exceeded the threshold for the persistence time; back to quiet after the settling time"),
+        (
+            "detected",
+            "the residual has exceeded the threshold for the persistence time; back to quiet after the settling time",
+        ),
     ),
 )
 SETTLING, QUIET, SUSPECTED, DETECTED = 1, 2, 3, 4
@@ -52,7 +55,9 @@ PORT = Port(
 )
 
 
-def detect(state: Any, above: Any, below: Any, size: Any, threshold: Any, persistence: Any, settling: Any, Ts: Any) -> Any:
+def detect(
+    state: Any, above: Any, below: Any, size: Any, threshold: Any, persistence: Any, settling: Any, Ts: Any
+) -> Any:
     """(state, time above, time below) after a sample with the residual `size`; times [s] in a row up to this sample."""
     over = size > threshold
     above = ca.if_else(over, above + Ts, 0)

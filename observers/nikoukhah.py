@@ -7,11 +7,11 @@ x is the estimate; lambda, the relaxation, goes to zero with its error and is a 
 and the model contradict each other. `dae` holds the equations, `dae_gain` the choice of Gamma (section 3), `dae_steps` the integration.
 
 What deviates from the paper, and why:
-- The w-form, w = x - h_x' lambda, w' = f + Gamma lambda - (d/dt h_x)' lambda, is the same DAE without y': an ODE beside (2.11), of which x and
-  lambda follow. Classical Runge-Kutta steps it from sample to sample, y between them on the cubic through the last four. The paper's BDF
-  is there too (`form="bdf"`).
-- (5.5) to (5.7) have a wrong sign in the third entry (one eigenvalue would be +2.19); Gamma is made by automatic differentiation. (2.58) and the
-  Gamma block of (4.4) are misprinted as well.
+- The w-form, w = x - h_x' lambda, w' = f + Gamma lambda - (d/dt h_x)' lambda, is the same DAE as an ODE of w; x and lambda follow from
+  w and (2.11). Classical Runge-Kutta steps it from sample to sample, y between them on the cubic through the last four. Only where
+  h_x moves does it take y', the cubic's, times lambda. The paper's BDF is there too (`form="bdf"`).
+- (5.5) to (5.7) have a wrong sign in the third entry (one eigenvalue would be +2.19); Gamma is made by automatic differentiation.
+  (2.58) and the Gamma block of (4.4) are misprinted as well.
 - Divisions of the gain are guarded where the pair (C, A) is not observable; such samples are counted.
 - Unknown inputs, the report's outlook: see `dae`. Unknown parameters are states with zero rate.
 - Between samples the estimate follows the model: `filtered.*` satisfies (2.11), `estimate.*` is its prediction.
@@ -21,16 +21,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from observers import fault_detector, ports
-from observers.component import SHORTEST_SAMPLE_TIME, Component, Enumeration, Port
+from observers.component import SHORTEST_SAMPLE_TIME, Component, Port
 from observers.dae import Dae, relaxed
 from observers.dae_gain import Design, Gain, exact, given, observable_pair, regional
+from observers.dae_ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
 from observers.dae_steps import ITERATIONS, bdf_step, consistent, samples_needed, w_step
 from observers.model import Model, refuse
 from observers.numerics.bdf import MOST
@@ -40,22 +40,6 @@ from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 from observers.region import Region, region
 
 CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
-
-STATUS = Enumeration(
-    "NikoukhahStatus",
-    (
-        ("initial_guess", "no sample yet: the estimate is the propagated guess"),
-        ("estimating", "the estimate satisfies the last measurement"),
-        ("singular_gain", "the linearisation is not observable here: the gain is not what was asked for"),
-        ("sample_rejected", "a measurement was not finite: its prediction stands in for it"),
-        ("solver_failed", "the DAE's step did not converge: the estimate is the prediction, lambda starts again from zero"),
-    ),
-)
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
-
-SINGULAR = Port(
-    "diagnostics.singular_gains", "samples with a singular gain so far", kind="Integer", variability="discrete"
-)
 
 
 def nikoukhah(
@@ -77,8 +61,8 @@ def nikoukhah(
 
     Args:
         sample_time: start value of the fixed parameter `sample_time`, Ts [s].
-        gain: "exact" places all eigenvalues of the linearised error dynamics (3.17)-(3.22), "regional" shifts them left of -alpha by the Riccati
-            equation (3.25), (3.26); or a function `(x, u, p, t)` that returns the rows of Gamma (n x p), written like the model.
+        gain: "exact" places all eigenvalues of the linearised error dynamics (3.17)-(3.22), "regional" shifts them left of -alpha by the
+            Riccati equation (3.25), (3.26); or a function `(x, u, p, t)` that returns the rows of Gamma (n x p), written like the model.
         poles: for "exact", the eigenvalues [1/s], one for each state; -10 each if absent. Tunable.
         alpha, X: for "regional", the decay rate [1/s] and the diagonal of X, one entry for each output; 1 each if absent. Tunable.
         form: "w" (Runge-Kutta on the w-form) or "bdf" (the paper's section 4).
@@ -138,9 +122,9 @@ def nikoukhah(
         parameters=(*ports.guesses(model, guess or {}), *known, _sample_time(sample_time), *tuning),
         outputs=(
             *ports.estimates(model),
-            *_disturbances(model),
-            _status(),
-            *_lambdas(model, dae),
+            *disturbances(model),
+            STATUS,
+            *lambdas(model, dae),
             fault_detector.PORT,
             *ports.innovations(model),
             SINGULAR,
@@ -162,7 +146,7 @@ def nikoukhah(
         stop_time=stop_time,
         step_size=sample_time,
         counters=(SINGULAR.name, *(port.name for port in ports.COUNTERS)),
-        documentation=_documentation(model, chosen, form, order),
+        documentation=documentation(model, chosen, form, order),
     )
 
 
@@ -232,7 +216,10 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
     u_begin = u_end if held else s.u
     first = s.k < 1
     if implicit:
-        columns = [ca.vertcat(s.x_filtered, s.mu), *(s.past[i * (n + ny) : (i + 1) * (n + ny)] for i in range(order - 1))]
+        columns = [
+            ca.vertcat(s.x_filtered, s.mu),
+            *(s.past[i * (n + ny) : (i + 1) * (n + ny)] for i in range(order - 1)),
+        ]
         x, mu, change, mu_dot = bdf_step(dae, gain, order)(s.x, s.mu, y, columns, s.k, u_end, q.model, t, Ts, q.gain)
         d, y_kept, past = _head(mu_dot, nd), ca.MX(0, 1), ca.vertcat(*columns[: order - 1], ca.MX(0, 1))
     else:
@@ -254,8 +241,9 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
     singular = ca.logic_not(gain.gamma(x, known, q.model, t, q.gain)[1])
 
     scale = np.abs(dae.M.T) @ np.array([v.nominal for v in model.outputs])
-    size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale)) 
-    detected = fault_detector.detect(s.fault, s.above, s.below, size, *ca.vertsplit(q.detector), Ts)
+    size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
+    threshold, persistence, settling = ca.vertsplit(q.detector)
+    detected = fault_detector.detect(s.fault, s.above, s.below, size, threshold, persistence, settling, Ts)
     fault, above, below = (
         ca.if_else(any_valid, new, old) for new, old in zip(detected, (s.fault, s.above, s.below), strict=True)
     )
@@ -297,55 +285,5 @@ def _head(column: Any, count: int) -> Any:
     return column[:count] if count else ca.MX(0, 1)
 
 
-def _status() -> Port:
-    return Port(
-        "diagnostics.status",
-        "can the estimate be trusted?",
-        kind="Enumeration",
-        start=1,
-        enumeration=STATUS,
-        variability="discrete",
-    )
-
-
 def _sample_time(start: float) -> Port:
     return Port("sample_time", "sample time", "s", start, min=SHORTEST_SAMPLE_TIME, max=1e6, variability="fixed")
-
-
-def _lambdas(model: Model, dae: Dae) -> tuple[Port, ...]:
-    several = dae.n_lambda > 1
-    return tuple(
-        Port(
-            f"diagnostics.lambda[{i}]" if several else "diagnostics.lambda",
-            "relaxation, 0 where model and measurements agree"
-            + (f"; of {model.outputs[i - 1].name}" if dae.n_disturbances == 0 else ""),
-            variability="discrete",
-        )
-        for i in range(1, dae.n_lambda + 1)
-    )
-
-
-def _disturbances(model: Model) -> tuple[Port, ...]:
-    """`estimate.<disturbance>`, then `filtered.<disturbance>`: both the mean over the last sample interval."""
-    made = []
-    for group, variability in (("estimate", "continuous"), ("filtered", "discrete")):
-        for v in model.unknown_disturbances:
-            text = f"unknown {v.description or v.name}, mean over the last sample interval"
-            made.append(Port(f"{group}.{v.name}", text, v.unit, nominal=v.nominal, variability=variability))
-    return tuple(made)
-
-
-def _documentation(model: Model, gain: Gain, form: str, order: int) -> str:
-    how = (
-        "by classical Runge-Kutta steps of its w-form, with a cubic through the last four samples"
-        if form == "w"
-        else f"by backward differentiation of order {order}, as in the report"
-    )
-    return (
-        f"<p>The model {model.name} and its measurements, relaxed by lambda to a differential-algebraic equation of index 1 (Nikoukhah, INRIA "
-        f"RR-2677, 1995), are integrated {how}; gain: {gain.description}. Connect the measurements and the known inputs, and step with at "
-        "most the sample time.</p>"
-        "<p>The outputs of <code>filtered.*</code> satisfy the last measurement exactly; <code>estimate.*</code> follows the model from there to "
-        "the current time. <code>diagnostics.lambda</code> is a residual, <code>diagnostics.fault</code> a threshold with persistence on it. "
-        "<code>diagnostics.status</code> says whether the estimate can be trusted.</p>"
-    )

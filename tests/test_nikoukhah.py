@@ -12,9 +12,10 @@ from scipy.linalg import solve_continuous_are
 from observers import fault_detector
 from observers.dae import relaxed
 from observers.dae_gain import exact, regional
+from observers.dae_ports import CODE
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
-from observers.nikoukhah import CODE, nikoukhah
+from observers.nikoukhah import nikoukhah
 from observers.region import region
 from reference_models.double_integrator import MASS_WITH_UNKNOWN_FORCE
 from reference_models.motor import MOTOR
@@ -171,7 +172,12 @@ def curved_reference(stop):
     gap = ca.vertcat(ca.vertcat(x1, x2) - C.T * lam - first[2:], h(x1, x2) - h(1.0, 0.3))
     found = ca.rootfinder("project", "newton", {"x": unknown, "g": gap})(x0=[*first[2:], 0])["x"].full().ravel()
     return solve_ivp(
-        lambda t, z: rhs(z).full().ravel(), (0, stop), [1.0, 0.3, *found[:2], 0], rtol=1e-11, atol=1e-12, dense_output=True
+        lambda t, z: rhs(z).full().ravel(),
+        (0, stop),
+        [1.0, 0.3, *found[:2], 0],
+        rtol=1e-11,
+        atol=1e-12,
+        dense_output=True,
     ), h
 
 
@@ -191,7 +197,9 @@ def test_both_forms_follow_the_papers_dae_for_a_nonlinear_output_as_the_step_shr
         # All trajectories of the observer approach the state: compare from 1 s on, where they are still apart by 1e-2.
         gaps.append(np.abs(found[:, :3] - reference.sol(times)[2:].T)[times > 1].max())
     assert gaps[1] < 1e-2 and math.log2(gaps[0] / gaps[1]) > order
-    np.testing.assert_allclose(found[-1, 0] + 0.2 * found[-1, 0] ** 2 + 0.1 * np.sin(found[-1, 1]), float(h(*reference.sol(times[-1])[:2])))
+    np.testing.assert_allclose(
+        found[-1, 0] + 0.2 * found[-1, 0] ** 2 + 0.1 * np.sin(found[-1, 1]), float(h(*reference.sol(times[-1])[:2]))
+    )
 
 
 def test_a_measurement_that_no_state_explains_fails_the_solve_and_keeps_the_prediction():
@@ -261,7 +269,9 @@ def test_an_unknown_force_is_estimated_and_the_velocity_is_not_disturbed_by_it(f
     component = nikoukhah(MASS_WITH_UNKNOWN_FORCE, sample_time=0.01, form=form, poles=[-5.0])
     position, velocity, force = (lambda t: 1 - np.cos(t)), np.sin, np.cos
     names = ["filtered.force", "filtered.x2", "diagnostics.lambda"]
-    times, found, _ = follow(component, lambda t: [position(t), velocity(t)], names, 5.0, 0.01, parameters={"guess.x2": 3})
+    times, found, _ = follow(
+        component, lambda t: [position(t), velocity(t)], names, 5.0, 0.01, parameters={"guess.x2": 3}
+    )
     mean = (velocity(times) - velocity(times - 0.01)) / 0.01
     expected = mean if form == "w" else force(times)
     assert np.abs(found[5:, 0] - expected[5:]).max() < 1e-3
@@ -295,8 +305,14 @@ class _Any:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: two(lambda x, u, p, t: [x.b, x.a], lambda x, u, p, t: [x.a, 2 * x.a]), ("h_x", "rank 1, not 2", "a =")),
-        (lambda: two(lambda x, u, p, t: [x.a, x.b], lambda x, u, p, t: [x.a]), ("observability", "rank 1, not 2", "b =")),
+        (
+            lambda: two(lambda x, u, p, t: [x.b, x.a], lambda x, u, p, t: [x.a, 2 * x.a]),
+            ("h_x", "rank 1, not 2", "a ="),
+        ),
+        (
+            lambda: two(lambda x, u, p, t: [x.a, x.b], lambda x, u, p, t: [x.a]),
+            ("observability", "rank 1, not 2", "b ="),
+        ),
         (
             lambda: two(lambda x, u, p, t: [x.a, x.b], lambda x, u, p, t: [x.a, x.b, x.a + x.b]),
             ("3 outputs for 2 states",),
@@ -313,9 +329,7 @@ class _Any:
             ("load", "rank 0, not 1", "index"),
         ),
         (
-            lambda: two(
-                lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a], unknown_disturbances=[Variable("w")]
-            ),
+            lambda: two(lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a], unknown_disturbances=[Variable("w")]),
             ("1 unknown disturbances (w) and 1 outputs",),
         ),
         (
@@ -333,7 +347,16 @@ class _Any:
             ("observability", "rank 1, not 2"),
         ),
     ],
-    ids=["dependent", "unobservable", "too many", "feedthrough", "index 2", "no relaxation left", "state times load", "hidden"],
+    ids=[
+        "dependent",
+        "unobservable",
+        "too many",
+        "feedthrough",
+        "index 2",
+        "no relaxation left",
+        "state times load",
+        "hidden",
+    ],
 )
 def test_a_model_that_breaks_an_assumption_is_refused_by_name(make, words):
     with pytest.raises(ModelError) as caught:

@@ -1,4 +1,4 @@
-"""Backward differentiation formulas of fixed step (Brenan, Campbell & Petzold 1989, 3.2): the derivative of a polynomial through the past."""
+"""Backward differentiation of fixed step (Brenan, Campbell & Petzold 1989, 3.2): the derivative of the polynomial through the past."""
 
 from __future__ import annotations
 
