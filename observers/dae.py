@@ -16,6 +16,7 @@ import numpy as np
 
 from observers.model import Model, ModelError
 from observers.numerics.complement import Complement, complement, exact_inverse
+from observers.numerics.exact import product
 
 
 @dataclass(frozen=True)
@@ -105,18 +106,19 @@ def relaxed(model: Model) -> Dae:
             f"nikoukhah: model '{model.name}': with unknown disturbances ({names}), {what} by constant coefficients only"
         )
     E, Cn = ca.DM(E_symbolic).full(), ca.DM(C_symbolic).full()
-    rest, of_CE = complement(E), complement(Cn @ E)
+    CE = product(Cn, E)
+    rest, of_CE = complement(E), complement(CE)
     if rest is None or of_CE is None:
         raise ModelError(
             f"nikoukhah: model '{model.name}': h_x E of the unknown disturbances ({names}) has rank "
-            f"{np.linalg.matrix_rank(Cn @ E)}, not {q}: no output's first derivative shows them all, so the index exceeds 1"
+            f"{np.linalg.matrix_rank(CE)}, not {q}: no output's first derivative shows them all, so the index exceeds 1"
         )
     M = of_CE.T.T
-    G = np.hstack([E, Cn.T @ M])
-    N_inverse = exact_inverse(Cn @ G)
+    G = np.hstack([E, product(Cn.T, M)])
+    N_inverse = exact_inverse(product(Cn, G))
     if N_inverse is None:
         raise ModelError(f"nikoukhah: model '{model.name}': the outputs are not independent")
-    Pi = np.eye(n) - E @ of_CE.L @ Cn
+    Pi = np.eye(n) - product(E, of_CE.L, Cn)
     f0 = ca.substitute(f, eq.w, ca.DM.zeros(q))
     return Dae(x, eq.u, eq.p, eq.t, f0, h, C, ca.SX(ca.DM(G)), E, M, rest, Pi, N_inverse)
 

@@ -20,6 +20,7 @@ from observers.component import Port
 from observers.dae import Dae
 from observers.model import Model, ModelError, Names
 from observers.numerics.care import care
+from observers.numerics.exact import product
 from observers.numerics.placement import ackermann, observability_matrix
 from observers.region import Region
 
@@ -161,7 +162,9 @@ def _reduced(dae: Dae) -> tuple[ca.SX, ca.SX]:
     if dae.n_disturbances == 0:
         return A, dae.C
     T, R = ca.DM(dae.rest.T), ca.DM(dae.rest.R)
-    return ca.mtimes(T, ca.mtimes(A, ca.DM(dae.Pi @ dae.rest.R))), ca.mtimes(ca.mtimes(ca.DM(dae.M.T), dae.C), R)
+    return ca.mtimes(T, ca.mtimes(A, ca.DM(product(dae.Pi, dae.rest.R)))), ca.mtimes(
+        ca.mtimes(ca.DM(dae.M.T), dae.C), R
+    )
 
 
 def observable_pair(dae: Dae) -> tuple[ca.SX, ca.SX]:

@@ -34,6 +34,7 @@ from observers.dae_ports import CODE, SINGULAR, STATUS, disturbances, documentat
 from observers.dae_steps import ITERATIONS, bdf_step, consistent, samples_needed, w_step
 from observers.model import Model, refuse
 from observers.numerics.bdf import MOST
+from observers.numerics.exact import product
 from observers.numerics.iteration import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
@@ -240,7 +241,7 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
     d = ca.if_else(accepted, d, s.d)
     singular = ca.logic_not(gain.gamma(x, known, q.model, t, q.gain)[1])
 
-    scale = np.abs(dae.M.T) @ np.array([v.nominal for v in model.outputs])
+    scale = product(np.abs(dae.M.T), np.array([[v.nominal] for v in model.outputs]))
     size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
     threshold, persistence, settling = ca.vertsplit(q.detector)
     detected = fault_detector.detect(s.fault, s.above, s.below, size, threshold, persistence, settling, Ts)
