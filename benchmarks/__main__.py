@@ -20,6 +20,7 @@ from benchmarks.comparison import NOISE_BOUNDS, NOISY_ROUNDS, ROUNDS, compare
 from benchmarks.errors import BenchmarkError
 from benchmarks.example import SAMPLE_TIME, L, N, experiment
 from benchmarks.flops import ideal_flops
+from benchmarks.motor import OBSERVERS, motor_ns
 from benchmarks.native import build_driver, unpack
 from benchmarks.structures import STRUCTURES, cost
 from cosim.errors import SystemFileError
@@ -33,7 +34,7 @@ err = Console(stderr=True)
 
 
 def main() -> None:
-    """Time the pseudospectral observer's FMU, beside IPOPT on the same problem, and count its instructions."""
+    """Time the pseudospectral observer's FMU, beside IPOPT on the same problem, count its instructions; time the DAE observer's."""
     if not FMU.is_file():
         _fail(f"{FMU}: there is no such file (build it first: python build_fmus.py --only {FMU.stem})", 2)
     try:
@@ -72,6 +73,12 @@ def _measure_all(scratch: Path) -> None:
             costs.append(cost(*structure, driver, scratch))
             bar.advance(task)
     tables.print_structures(out, costs)
+    with _progress("Nikoukhah's motor", len(OBSERVERS)) as (bar, task):
+        motor = {}
+        for label, name in OBSERVERS.items():
+            motor[label] = motor_ns(name, driver, scratch)
+            bar.advance(task)
+    tables.print_motor(out, motor)
     with _progress("shell and build times", 2) as (bar, task):
         shell = shell_ns(driver, scratch)
         bar.advance(task)

@@ -1,12 +1,12 @@
 /* Steps an observer FMU without any Python: sets a sample, steps, reads the outputs, for all samples of a file, and
    prints how long that took.
 
-   driver LIBRARY GUID STEP RUNS SAMPLES RECORD INPUT OUTPUTS [REFERENCE=VALUE ...]
+   driver LIBRARY GUID STEP RUNS SAMPLES RECORD INPUTS OUTPUTS [REFERENCE=VALUE ...]
 
-   SAMPLES: a file of doubles, one for each step of size STEP [s]. INPUT: the value reference that takes them. OUTPUTS:
-   the value references of the Reals read after each step, separated by commas; those of the last run are written to
-   RECORD, a row of doubles for each step. REFERENCE=VALUE: Real parameters set before initialisation. Prints the
-   nanoseconds per sample of each of the RUNS, which reset the instance. */
+   SAMPLES: a file of doubles, a row for each step of size STEP [s]. INPUTS: the value references that take a row, OUTPUTS:
+   those of the Reals read after each step, separated by commas; the outputs of the last run are written to RECORD, a row
+   of doubles for each step. REFERENCE=VALUE: Real parameters set before initialisation. Prints the nanoseconds per sample
+   of each of the RUNS, which reset the instance. */
 #define _POSIX_C_SOURCE 200809L
 #include <dlfcn.h>
 #include <stdarg.h>
@@ -123,13 +123,16 @@ static double nanoseconds(void)
 int main(int argc, char **argv)
 {
     if (argc < 9)
-        fail("arguments", "LIBRARY GUID STEP RUNS SAMPLES RECORD INPUT OUTPUTS [REFERENCE=VALUE ...]");
+        fail("arguments", "LIBRARY GUID STEP RUNS SAMPLES RECORD INPUTS OUTPUTS [REFERENCE=VALUE ...]");
     const Fmu fmu = load(argv[1]);
     const double h = strtod(argv[3], NULL);
     const long runs = strtol(argv[4], NULL, 10);
-    const fmi2ValueReference input = (fmi2ValueReference)strtoul(argv[7], NULL, 10);
-    size_t n, count;
+    size_t n, width, count;
+    const fmi2ValueReference *inputs = read_references(argv[7], &width);
     const double *samples = read_doubles(argv[5], &n);
+    if (width == 0 || n % width != 0)
+        fail("not a whole number of rows", argv[5]);
+    n /= width;
     const fmi2ValueReference *outputs = read_references(argv[8], &count);
     double *record = calloc(n * count + 1, sizeof *record);
     if (!record)
@@ -155,7 +158,7 @@ int main(int argc, char **argv)
         check(fmu.leave(instance), "fmi2ExitInitializationMode");
         const double begin = nanoseconds();
         for (size_t k = 0; k < n; k++) {
-            check(fmu.set(instance, &input, 1, &samples[k]), "fmi2SetReal");
+            check(fmu.set(instance, inputs, width, samples + k * width), "fmi2SetReal");
             check(fmu.step(instance, (double)k * h, h, fmi2True), "fmi2DoStep");
             check(fmu.get(instance, outputs, count, record + k * count), "fmi2GetReal");
         }

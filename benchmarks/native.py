@@ -42,16 +42,21 @@ class Unpacked:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is done with an FMU: `samples` (n,) go to its `input` in steps of `step` [s], `outputs` are read after each.
+    """What is done with an FMU: `samples` go to its `input` in steps of `step` [s], `outputs` are read after each.
 
-    `start`: parameters set before initialisation.
+    `samples` is (n,) for one input, (n, m) for a tuple of m. `start`: parameters set before initialisation.
     """
 
     samples: np.ndarray
     step: float
-    input: str
+    input: str | tuple[str, ...]
     outputs: Sequence[str]
     start: Mapping[str, float]
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The inputs' names."""
+        return (self.input,) if isinstance(self.input, str) else self.input
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ def command(
         str(runs),
         str(samples),
         str(directory / "record.bin"),
-        str(fmu.references([experiment.input])[0]),
+        ",".join(map(str, fmu.references(experiment.inputs))),
         ",".join(map(str, fmu.references(experiment.outputs))),
         *(
             f"{reference}={float(experiment.start[name])!r}"

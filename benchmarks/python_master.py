@@ -49,18 +49,18 @@ def _step_all(slave: Slave, fmu: Unpacked, experiment: Experiment) -> PythonRun:
     count, n, h = len(experiment.samples), len(experiment.outputs), experiment.step
     samples, record = np.ascontiguousarray(experiment.samples, dtype=float), np.empty((count, n))
     counts = np.empty((count, len(COUNTED)), dtype=np.int32)
-    names = ([experiment.input], experiment.outputs, COUNTED)
+    names = (experiment.inputs, experiment.outputs, COUNTED)
     references = [np.array(fmu.references(group), dtype=np.uint32) for group in names]
     input_at, outputs_at, counted_at = (array.ctypes.data for array in references)
     set_real, get_real = slave.access("Set", "Real"), slave.access("Get", "Real")
     get_integer = slave.access("Get", "Integer")
     component, do_step = slave.component, slave.do_step
     samples_at, record_at, counts_at = samples.ctypes.data, record.ctypes.data, counts.ctypes.data
-    total = 0
+    width, total = len(experiment.inputs), 0
     for k in range(count):
         begin = perf_counter_ns()
         status = max(
-            set_real(component, input_at, 1, samples_at + 8 * k),
+            set_real(component, input_at, width, samples_at + 8 * width * k),
             do_step(component, k * h, h, 1),
             get_real(component, outputs_at, n, record_at + 8 * n * k),
         )

@@ -13,6 +13,7 @@ from benchmarks.structures import STRUCTURES, Cost
 
 FASTER_THAN_IPOPT = 200  # promised
 MOST_INSTRUCTIONS = 45_000  # per sample, promised
+MOST_MOTOR_NS = 1000  # per sample of the DAE observer's w-form, promised
 TOP = 5  # functions shown
 
 
@@ -71,6 +72,17 @@ def print_structures(out: Console, costs: list[Cost]) -> None:
         name = "{}, {}, {:g} s".format(*structure)
         table.add_row(name, _time(c.ns), f"{c.iterations:.2f}", count, f"{c.flops:,.0f}", ratio, size)
     out.print(table)
+
+
+def print_motor(out: Console, times: dict[str, np.ndarray]) -> None:
+    """`times`: nanoseconds per sample of each run, by the observer's label; the w-form comes first."""
+    table = _table("Nikoukhah's motor, DAE observer, time per sample", "", "median", "min")
+    medians = [float(np.median(ns)) for ns in times.values()]
+    for label, median, ns in zip(times, medians, times.values(), strict=True):
+        table.add_row(label, _time(median), _time(float(np.min(ns))))
+    out.print(table)
+    kept = medians[0] <= MOST_MOTOR_NS
+    _promise(out, "at most 1 us per sample (w-form, motor)", kept, _time(medians[0]))
 
 
 def print_builds(out: Console, shell: float, times: BuildTimes) -> None:

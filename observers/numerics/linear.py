@@ -129,3 +129,9 @@ def square_root(A: ca.SX) -> ca.SX:
             S[i][j] = ca.dot(rows[i], unit)
             rows[i] = rows[i] - S[i][j] * unit
     return ca.vertcat(*[ca.horzcat(*row) for row in S])
+
+
+def inverse(A: ca.SX) -> ca.SX:
+    """A^-1 (n x n) by elimination without pivoting, see `lu_factor`."""
+    LU = lu_factor(A)
+    return backward(LU, forward(LU, ca.SX.eye(A.shape[0])))

@@ -1,0 +1,79 @@
+"""Makes the pictures of docs/nikoukhah.md from runs of the built systems: python docs/figures_nikoukhah.py"""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+from figures import BLUE, GREEN, GREY, ORANGE, save
+
+from cosim.master import run
+from cosim.results import Result
+from observers.fault_detector import DETECTED
+
+NOISE = {"plant.sensor.noise_std": 1e-3, "plant.sensor.sample_time": 1e-3}
+
+
+def motor(runs: dict[str, Result]) -> None:
+    """Figures 3 and 4 of the report: x3 and its estimates, their errors, lambda."""
+    figure, axes = plt.subplots(3, 1, figsize=(8, 6), sharex=True)
+    colours = (ORANGE, GREEN, GREY)
+    first = next(iter(runs.values()))
+    axes[0].plot(first.time, first["plant.x.x3"], color=BLUE, label="true")
+    for (label, result), colour in zip(runs.items(), colours, strict=True):
+        axes[0].plot(result.time, result["observer.estimate.x3"], "--", color=colour, label=label)
+        gap = np.abs(result["observer.estimate.x3"] - result["plant.x.x3"])
+        axes[1].semilogy(result.time, np.maximum(gap, 1e-12), color=colour, linewidth=0.9)
+    axes[0].set_ylabel("$x_3$")
+    axes[0].legend(frameon=False, fontsize=8)
+    axes[1].set_ylabel("error of $x_3$")
+    for i, style in ((1, "-"), (2, "--")):
+        axes[2].plot(
+            first.time, first[f"observer.diagnostics.lambda[{i}]"], style, color=ORANGE, label=rf"$\lambda_{i}$"
+        )
+    axes[2].set_ylabel(r"$\lambda$, exact placement")
+    axes[2].legend(frameon=False, fontsize=8)
+    axes[2].set_xlabel("time [s]")
+    axes[2].set_xlim(0, first.time[-1])
+    figure.align_ylabels(axes)
+    save(figure, "nikoukhah_motor")
+
+
+def faults(actuator: Result, sensor: Result) -> None:
+    """lambda and the detector for a fault of the actuator and a bias of the sensor, from t = 4 on, with noise."""
+    figure, axes = plt.subplots(1, 2, figsize=(8, 2.8), sharex=True)
+    titles = ("actuator: +2 on $x_3'$", "sensor: +0.1 on $y_2$")
+    for axis, result, title in zip(axes, (actuator, sensor), titles, strict=True):
+        rows = (result.time >= 3.9) & (result.time <= 4.4)
+        time = result.time[rows]
+        for i, colour in ((1, BLUE), (2, ORANGE)):
+            axis.plot(
+                time,
+                result[f"observer.diagnostics.lambda[{i}]"][rows],
+                color=colour,
+                label=rf"$\lambda_{i}$",
+                linewidth=0.9,
+            )
+        detected = time[result["observer.diagnostics.fault"][rows] == DETECTED][0]
+        axis.axvline(detected, color=GREY, linestyle=":", linewidth=0.9)
+        axis.annotate(f" detected after {1e3 * (detected - 4):.0f} ms", (detected, axis.get_ylim()[0]), fontsize=8)
+        axis.set_title(title, fontsize=9)
+        axis.set_xlabel("time [s]")
+        axis.legend(frameon=False, fontsize=8)
+    axes[0].set_ylabel(r"$\lambda$")
+    save(figure, "nikoukhah_faults")
+
+
+def _fault(name: str, value: float) -> Result:
+    onset = {f"plant.model.{name}_jump_time[1]": 4.0, f"plant.model.{name}_jump_value[1]": value}
+    return run("systems/nikoukhah_motor.ssp", overrides=NOISE | onset)
+
+
+if __name__ == "__main__":
+    motor(
+        {
+            "exact placement": run("systems/nikoukhah_motor.ssp"),
+            "regional placement": run("systems/nikoukhah_motor_regional.ssp"),
+            "exact placement, BDF of order 2": run("systems/nikoukhah_motor_bdf.ssp"),
+        }
+    )
+    faults(_fault("actuator_fault", 2.0), _fault("bias_y2", 0.1))

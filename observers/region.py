@@ -1,0 +1,62 @@
+"""Points of a model's region, at which a method's assumptions are checked when the observer is built."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.stats import qmc
+
+from observers.model import Model, ModelError, Variable
+
+POINTS = 64
+RANK_TOLERANCE = 1e-8  # smallest over largest singular value that counts as full rank
+
+
+@dataclass(frozen=True)
+class Region:
+    """`points`: (states and unknown parameters, inputs, parameters, time) each, as columns."""
+
+    model: Model
+    points: tuple[tuple[np.ndarray, np.ndarray, np.ndarray, float], ...]
+
+    def describe(self, point: tuple[np.ndarray, np.ndarray, np.ndarray, float]) -> str:
+        """`x1 = 0.3, ..., u = 1`."""
+        states, inputs = (*self.model.states, *self.model.unknown_parameters), self.model.inputs
+        named = [*zip(states, point[0], strict=True), *zip(inputs, point[1], strict=True)]
+        return ", ".join(f"{v.name} = {value:.4g}" for v, value in named)
+
+    def require_rank(self, method: str, what: str, matrix: ca.Function, rank: int) -> None:
+        """Raise a ModelError that names the first point at which `matrix` (of x, u, p, t) has not `rank`."""
+        for point in self.points:
+            value = matrix(*point).full()
+            lengths = np.linalg.norm(value, axis=1, keepdims=True)
+            singular = np.linalg.svd(value / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
+            found = int(np.sum(singular > RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
+            if found < rank:
+                raise ModelError(
+                    f"{method}: {what} of model '{self.model.name}' has rank {found}, not {rank}, at {self.describe(point)}"
+                )
+
+
+def region(model: Model) -> Region:
+    """POINTS points of Halton's sequence between the bounds of states, unknown parameters and inputs.
+
+    A variable without a bound reaches one `nominal` beyond its start value there. Parameters stand at their start values, time at 0.
+    """
+    states = (*model.states, *model.unknown_parameters)
+    box = np.array([_range(v) for v in (*states, *model.inputs)])
+    # The sequence's first point is the corner; it is left out.
+    unit = qmc.Halton(len(box), scramble=False).random(POINTS + 1)[1:]
+    values = box[:, 0] + unit * (box[:, 1] - box[:, 0])
+    p = np.array([v.start for v in model.parameters])
+    return Region(model, tuple((row[: len(states)], row[len(states) :], p, 0.0) for row in values))
+
+
+def _range(v: Variable) -> Sequence[float]:
+    low = v.min if math.isfinite(v.min) else v.start - v.nominal
+    high = v.max if math.isfinite(v.max) else v.start + v.nominal
+    return low, max(low, high)
