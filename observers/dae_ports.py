@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from observers import ports
 from observers.component import Enumeration, Port
 from observers.dae import Dae
 from observers.dae_gain import Gain
@@ -24,14 +25,7 @@ _STATUS = Enumeration(
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(_STATUS.items, start=1)})
 
-STATUS = Port(
-    "diagnostics.status",
-    "can the estimate be trusted?",
-    kind="Enumeration",
-    start=1,
-    enumeration=_STATUS,
-    variability="discrete",
-)
+STATUS = ports.status(_STATUS)
 SINGULAR = Port(
     "diagnostics.singular_gains", "samples with a singular gain so far", kind="Integer", variability="discrete"
 )

@@ -52,14 +52,7 @@ STATUS = Enumeration(
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
 
-STATUS_PORT = Port(
-    "diagnostics.status",
-    "can the estimate be trusted?",
-    kind="Enumeration",
-    start=1,
-    enumeration=STATUS,
-    variability="discrete",
-)
+STATUS_PORT = ports.status(STATUS)
 
 
 def james_baras(

@@ -8,13 +8,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from observers.component import Port
+from observers.component import Enumeration, Port
 from observers.model import Model, ModelError, Variable
 
 COUNTERS = (
     Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
     Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
 )
+
+
+def status(enumeration: Enumeration) -> Port:
+    """`diagnostics.status`; an observer starts with its first item."""
+    return Port(
+        "diagnostics.status",
+        "can the estimate be trusted?",
+        start=1,
+        kind="Enumeration",
+        enumeration=enumeration,
+        variability="discrete",
+    )
 
 
 def last_name(port: Port) -> str:

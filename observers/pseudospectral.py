@@ -24,7 +24,8 @@ import numpy as np
 
 from observers import ports
 from observers.component import Component, Port
-from observers.model import Model, ModelError, refuse
+from observers.linearisation import refuse_unobservable
+from observers.model import Model, refuse
 from observers.numerics import lgl, trajectory
 from observers.numerics.collocation import Window, window
 from observers.numerics.equations import Equations
@@ -34,7 +35,7 @@ from observers.numerics.layout import Layout
 from observers.numerics.least_squares import LeastSquares, known_terms
 from observers.numerics.pointwise import Pointwise, pointwise
 from observers.numerics.runge_kutta import runge_kutta, stable_step
-from observers.numerics.semilinear import lift_inputs, split, unreachable
+from observers.numerics.semilinear import lift_inputs, split
 from observers.numerics.sliding import insert_input, insert_sample
 from observers.numerics.spline import spline_matrix
 from observers.pseudospectral_ports import CODE, DIAGNOSTICS, QUALITY, TUNING
@@ -86,12 +87,7 @@ def pseudospectral(
     if cost not in ("samples", "spline"):
         raise ValueError(f"pseudospectral: cost = {cost!r} must be 'samples' or 'spline'")
     eq = model.equations
-    unseen = unreachable(eq.ode, eq.output, ca.vertcat(eq.x, eq.theta), eq.x)
-    if unseen:
-        names = ", ".join(
-            [*(v.name for v in model.states), *(v.name for v in model.unknown_parameters)][i] for i in unseen
-        )
-        raise ModelError(f"pseudospectral: model '{model.name}' is not observable: no output ever sees {names}")
+    refuse_unobservable(model, "pseudospectral")
 
     lifted, lift = lift_inputs(eq)
     parts = split(lifted.ode, lifted.x, lifted.u)

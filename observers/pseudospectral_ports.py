@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from observers import ports
 from observers.component import Enumeration, Port
 from observers.numerics.iteration import MOST_ITERATIONS
 
@@ -82,14 +83,7 @@ TUNING = (
     ),
 )
 DIAGNOSTICS = (
-    Port(
-        "diagnostics.status",
-        "can the estimate be trusted?",
-        kind="Enumeration",
-        start=1,
-        enumeration=STATUS,
-        variability="discrete",
-    ),
+    ports.status(STATUS),
     Port(
         "diagnostics.cost",
         "integral over the window of the squared output residual, in units of the outputs' nominal values",

@@ -25,12 +25,13 @@ import casadi as ca
 
 from observers import ports
 from observers.component import SHORTEST_SAMPLE_TIME, Component, Enumeration, Port
+from observers.linearisation import refuse_unobservable
 from observers.model import Model, ModelError, Variable, refuse
 from observers.numerics import linear
 from observers.numerics.iteration import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta, stable_step
-from observers.numerics.semilinear import split, unreachable
+from observers.numerics.semilinear import split
 
 STATUS = Enumeration(
     "UkfStatus",
@@ -83,11 +84,7 @@ def ukf(
         raise ValueError(f"ukf: sample_time = {sample_time:g} must be at least {SHORTEST_SAMPLE_TIME:g}")
     eq = model.equations
     estimated = (*model.states, *model.unknown_parameters)
-    unseen = unreachable(eq.ode, eq.output, ca.vertcat(eq.x, eq.theta), eq.x)
-    if unseen:
-        raise ModelError(
-            f"ukf: model '{model.name}' is not observable: no output ever sees {', '.join(estimated[i].name for i in unseen)}"
-        )
+    refuse_unobservable(model, "ukf")
     noise = _tuning("process_noise", "process noise intensity per sqrt(s) of", estimated, process_noise, 1e-3)
     sensor = _tuning("measurement_noise", "standard deviation of a sample of", model.outputs, measurement_noise, 0.1)
     spread = _tuning("initial_std", "standard deviation of the guess of", estimated, initial_std, 1.0, "fixed")
@@ -198,14 +195,7 @@ def ukf(
         ),
         outputs=(
             *ports.estimates(model),
-            Port(
-                "diagnostics.status",
-                "can the estimate be trusted?",
-                kind="Enumeration",
-                start=1,
-                enumeration=STATUS,
-                variability="discrete",
-            ),
+            ports.status(STATUS),
             *ports.innovations(model),
             *(
                 Port(
