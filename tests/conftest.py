@@ -20,6 +20,8 @@ from fmpy.fmi2 import (
 from toys import feedthrough_toy, growing_toy, sampled_toy
 
 from build_fmus import build, choose
+from cosim.master import run
+from cosim.results import Result
 from fmu_src import export
 from observers.component import Component
 from reference_models.duffing import DUFFING
@@ -162,6 +164,20 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("catalogue")
     build(choose([]), folder / "fmus", ["host"])
     return folder
+
+
+@pytest.fixture(scope="session")
+def example(catalogue: Path) -> Callable[..., Result]:
+    """Runs a system of the catalogue, each variant once."""
+    made: dict[str, Result] = {}
+
+    def result(name: str, **options: object) -> Result:
+        key = f"{name} {options}"
+        if key not in made:
+            made[key] = run(catalogue / "systems" / f"{name}.ssp", **options)  # type: ignore[arg-type]
+        return made[key]
+
+    return result
 
 
 @pytest.fixture

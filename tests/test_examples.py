@@ -19,20 +19,6 @@ from observers.pseudospectral_ports import CODE
 Catalogue = Callable[..., Result]
 
 
-@pytest.fixture(scope="module")
-def example(catalogue: Path) -> Catalogue:
-    """Runs a system of the catalogue, each variant once."""
-    made: dict[str, Result] = {}
-
-    def result(name: str, **options: object) -> Result:
-        key = f"{name} {options}"
-        if key not in made:
-            made[key] = run(catalogue / "systems" / f"{name}.ssp", **options)  # type: ignore[arg-type]
-        return made[key]
-
-    return result
-
-
 def test_example_1_with_the_sampled_cost_is_exact_to_1e_8(example: Catalogue) -> None:
     found = errors(example("gong_example_1"))[8:]
     assert len(found) == 492

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from build_fmus import FMUS, SYSTEMS
-from cosim.master import run
 from cosim.results import Result
 from observers import chen_yen, james_baras
 from observers.certificates import ANYWHERE, NONE
@@ -29,19 +28,6 @@ def error(result: Result) -> np.ndarray:
     """|e| of the current estimate at the master's times."""
     states = [name.removeprefix("observer.estimate.") for name in result.names if "estimate." in name]
     return np.linalg.norm([result[f"observer.estimate.{s}"] - result[f"plant.x.{s}"] for s in states], axis=0)
-
-
-@pytest.fixture(scope="module")
-def example(catalogue: Path) -> Callable[..., Result]:
-    made: dict[str, Result] = {}
-
-    def result(name: str, **options: object) -> Result:
-        key = f"{name} {options}"
-        if key not in made:
-            made[key] = run(catalogue / "systems" / f"{name}.ssp", **options)  # type: ignore[arg-type]
-        return made[key]
-
-    return result
 
 
 @pytest.mark.parametrize("name", REFERENCES)
