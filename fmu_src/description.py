@@ -137,15 +137,17 @@ def _check(component: Component, variables: list[Entry]) -> None:
             )
         if not _NAME.match(port.name):
             raise ExportError(f"{where}: '{port.name}' is no structured variable name such as a.b[1]")
-        if port.kind not in ("Real", "Integer", "Enumeration") or (port.kind == "Enumeration") != (
+        if port.kind not in ("Real", "Integer", "Boolean", "Enumeration") or (port.kind == "Enumeration") != (
             port.enumeration is not None
         ):
             raise ExportError(
-                f"{where}: '{port.name}' is of kind '{port.kind}'; known: Real, Integer, "
+                f"{where}: '{port.name}' is of kind '{port.kind}'; known: Real, Integer, Boolean, "
                 "Enumeration (with its enumeration)"
             )
-        if entry.group == "input" and port.kind != "Real":
-            raise ExportError(f"{where}: the input '{port.name}' is of kind '{port.kind}', inputs must be Real")
+        if entry.group == "input" and port.kind not in ("Real", "Boolean"):
+            raise ExportError(
+                f"{where}: the input '{port.name}' is of kind '{port.kind}', inputs must be Real or Boolean"
+            )
         if entry.group != "constant" and port.variability not in _VARIABILITIES[entry.group]:
             allowed = " or ".join(_VARIABILITIES[entry.group])
             raise ExportError(
@@ -242,7 +244,7 @@ def _scalar_variable(parent: etree._Element, reference: int, entry: Entry) -> No
     variable.set("variability", "constant" if entry.group == "constant" else port.variability)
     if entry.initial is not None:
         variable.set("initial", entry.initial)
-    write = _real if port.kind == "Real" else _integer
+    write = {"Real": _real, "Boolean": _boolean}.get(port.kind, _integer)
     element = etree.SubElement(variable, port.kind)
     if port.enumeration is not None:
         element.set("declaredType", port.enumeration.name)
@@ -293,3 +295,7 @@ def _real(value: float) -> str:
 
 def _integer(value: float) -> str:
     return str(int(value))
+
+
+def _boolean(value: float) -> str:
+    return "true" if value else "false"

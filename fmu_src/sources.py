@@ -141,7 +141,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
 
 
 def _variable(port: Port, role: str) -> str:
-    kind = "REAL" if port.kind == "Real" else "INTEGER"
+    kind = {"Real": "REAL", "Boolean": "BOOLEAN"}.get(port.kind, "INTEGER")
     start = 0.0 if role == "OUTPUT" else port.start
     low, high = bounds(port)
     return f"{{{json.dumps(port.name)}, {role}, {kind}, {_real(start)}, {_real(low)}, {_real(high)}}}"

@@ -5,12 +5,15 @@ Inputs are the model's outputs, then its known inputs. `estimate.*` is of the cu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from observers.component import Enumeration, Port
 from observers.model import Model, ModelError, Variable
 
+PROCESS_NOISE = "process noise intensity per sqrt(s) of"
+MEASUREMENT_NOISE = "standard deviation of a sample of"
+INITIAL_STD = "standard deviation of the guess of"
 COUNTERS = (
     Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
     Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
@@ -39,6 +42,20 @@ def inputs(model: Model) -> tuple[Port, ...]:
     return (
         *(_like(v.name, v, "measured", "continuous") for v in model.outputs),
         *(_like(v.name, v, "known input:", "continuous") for v in model.inputs),
+    )
+
+
+def validity(model: Model) -> tuple[Port, ...]:
+    """`measurement_valid.<output>`: false where a sample has not arrived."""
+    return tuple(
+        Port(
+            f"measurement_valid.{v.name}",
+            f"whether the sample of {v.description or v.name} has arrived",
+            start=1,
+            kind="Boolean",
+            variability="discrete",
+        )
+        for v in model.outputs
     )
 
 
@@ -88,7 +105,41 @@ def innovations(model: Model) -> tuple[Port, ...]:
 
 
 def _estimated(model: Model) -> tuple[Variable, ...]:
-    return (*model.states, *model.unknown_parameters)
+    return (*model.states, *model.algebraic, *model.unknown_parameters)
+
+
+def deviations(
+    owner: str,
+    group: str,
+    text: str,
+    variables: Sequence[Variable],
+    values: Mapping[str, float] | None,
+    part: float,
+    variability: str = "tunable",
+    smallest: float = 0.0,
+) -> tuple[Port, ...]:
+    """`tuning.<group>.<variable>`, standard deviations or intensities; by default `part` of the nominal values.
+
+    Raises:
+        ModelError: a name in `values` that is none of the `variables`.
+    """
+    given = dict(values or {})
+    made = []
+    for v in variables:
+        start, what = given.pop(v.name, part * v.nominal), v.description or v.name
+        made.append(
+            Port(
+                f"tuning.{group}.{v.name}",
+                f"{text} {what}",
+                "1",
+                start,
+                min=smallest * v.nominal,
+                variability=variability,
+            )
+        )
+    if given:
+        raise ModelError(f"{owner}: {group} of '{next(iter(given))}'; known: {', '.join(v.name for v in variables)}")
+    return tuple(made)
 
 
 def _like(name: str, v: Variable, text: str, variability: str) -> Port:

@@ -17,7 +17,7 @@ STATUS = Enumeration(
         ("prediction_kept", "the prediction's cost lies below tuning.cost_threshold: no solve was needed"),
         (
             "sample_rejected",
-            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
         ("solver_failed", "Gauss-Newton did not converge: the estimate is the prediction"),
         ("undetermined", "the window does not determine the state: the estimate is the prediction"),
@@ -25,8 +25,9 @@ STATUS = Enumeration(
         ("parameter_changed", "a model parameter was changed within the window: its older samples obey the old value"),
         (
             "inconsistent",
-            "the rms output residual exceeds tuning.residual_limit: the window's samples do not fit the model",
+            "the rms output residual exceeds tuning.residual_limit, or bounds contradict each other: the samples do not fit the model",
         ),
+        ("singular", "the algebraic equations hardly determine the algebraic variables somewhere in the window"),
     ),
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
@@ -101,4 +102,16 @@ QUALITY = (
         variability="discrete",
     ),
     Port("diagnostics.node0_residual", "collocation residual at the dropped node 0, scaled", variability="discrete"),
+)
+CONSTRAINT_VIOLATION = Port(
+    "diagnostics.constraint_violation",
+    "by how much bounds had to give way, in units of nominal values; above 0: they contradict each other",
+    variability="discrete",
+)
+REGULARITY_LIMIT = Port(
+    "tuning.regularity_limit",
+    "smallest pivot of dg/dz, in units of nominal values, below which the status is singular",
+    start=1e-2,
+    min=0.0,
+    variability="tunable",
 )

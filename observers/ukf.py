@@ -26,7 +26,7 @@ import casadi as ca
 from observers import ports
 from observers.component import SHORTEST_SAMPLE_TIME, Component, Enumeration, Port
 from observers.linearisation import refuse_unobservable
-from observers.model import Model, ModelError, Variable, refuse
+from observers.model import Model, refuse
 from observers.numerics import linear
 from observers.numerics.iteration import HUGE
 from observers.numerics.layout import Layout
@@ -40,7 +40,7 @@ STATUS = Enumeration(
         ("corrected", "the last sample corrected the estimate"),
         (
             "sample_rejected",
-            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
         ("solver_failed", "a step was not finite: the estimate is the guess again, its covariance the initial one"),
     ),
@@ -85,9 +85,11 @@ def ukf(
     eq = model.equations
     estimated = (*model.states, *model.unknown_parameters)
     refuse_unobservable(model, "ukf")
-    noise = _tuning("process_noise", "process noise intensity per sqrt(s) of", estimated, process_noise, 1e-3)
-    sensor = _tuning("measurement_noise", "standard deviation of a sample of", model.outputs, measurement_noise, 0.1)
-    spread = _tuning("initial_std", "standard deviation of the guess of", estimated, initial_std, 1.0, "fixed")
+    noise = ports.deviations("ukf", "process_noise", ports.PROCESS_NOISE, estimated, process_noise, 1e-3)
+    sensor = ports.deviations(
+        "ukf", "measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, measurement_noise, 0.1
+    )
+    spread = ports.deviations("ukf", "initial_std", ports.INITIAL_STD, estimated, initial_std, 1.0, "fixed")
     kappa = Port(
         "tuning.kappa",
         "spread of the sigma points, sqrt(n + kappa) deviations",
@@ -103,10 +105,10 @@ def ukf(
     points = 2 * n + 1
     state = Layout(points=n * points, filtered=n, innovation=ny, status=1, rejected=1, failures=1)
     settings = Layout(guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, sample_time=1)
-    z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ny + nu), ca.SX.sym("p", settings.total)
+    z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", 2 * ny + nu), ca.SX.sym("p", settings.total)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), settings.unpack(p)
-    known = u[ny:] if nu else ca.SX(0, 1)
+    known = u[ny : ny + nu] if nu else ca.SX(0, 1)
     augmented = ca.Function("rhs", [eq.x, eq.theta, eq.u, eq.p, eq.t], [ca.vertcat(eq.ode, ca.SX.zeros(n - nx))])
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
     parts = Layout(x=nx, theta=n - nx)
@@ -133,7 +135,8 @@ def ukf(
     drawn = _points(mean, root, q.kappa)
     seen = ca.horzcat(*[at(measure, drawn[:, i], t) for i in range(points)])
     expected = ca.mtimes(seen, weights)
-    valid = ca.fabs(u[:ny]) <= HUGE  # false for NaN
+    finite_sample, offered = ca.fabs(u[:ny]) <= HUGE, u[ny + nu :] > 0.5  # false for NaN
+    valid = ca.logic_and(finite_sample, offered)
     innovation = ca.if_else(valid, u[:ny] - expected, 0)
     dx, dy = drawn - ca.repmat(mean, 1, points), ca.diag(ca.SX(valid)) @ (seen - ca.repmat(expected, 1, points))
     rooted = ca.diag(ca.sqrt(weights))
@@ -158,7 +161,7 @@ def ukf(
                 CODE.solver_failed,
                 ca.if_else(ca.sum1(valid) < ny, CODE.sample_rejected, CODE.corrected),
             ),
-            "rejected": s.rejected + (ca.sum1(valid) < ny),
+            "rejected": s.rejected + (ca.sum1(ca.logic_and(offered, ca.logic_not(finite_sample))) > 0),
             "failures": s.failures + ca.logic_not(finite),
         }
     )
@@ -183,7 +186,7 @@ def ukf(
             [z, u, p, t],
             [ca.vertcat(current, s.filtered, s.status, s.innovation, deviation, s.rejected, s.failures)],
         ),
-        inputs=ports.inputs(model),
+        inputs=(*ports.inputs(model), *ports.validity(model)),
         parameters=(
             *ports.guesses(model, guess or {}),
             *ports.known_parameters(model),
@@ -235,31 +238,3 @@ def _moments(points: Any, weights: Any, noise_root: Any) -> tuple[Any, Any]:
     mean = ca.mtimes(points, weights)
     spread = ca.mtimes(points - ca.repmat(mean, 1, points.shape[1]), ca.diag(ca.sqrt(weights)))
     return mean, linear.square_root(ca.horzcat(spread, noise_root))
-
-
-def _tuning(
-    group: str,
-    text: str,
-    variables: tuple[Variable, ...] | Any,
-    values: Mapping[str, float] | None,
-    part: float,
-    variability: str = "tunable",
-) -> tuple[Port, ...]:
-    """`tuning.<group>.<variable>`, by default `part` of the nominal values."""
-    given = dict(values or {})
-    made = []
-    for v in variables:
-        start = given.pop(v.name, part * v.nominal)
-        made.append(
-            Port(
-                f"tuning.{group}.{v.name}",
-                f"{text} {v.description or v.name}",
-                "1",
-                start,
-                min=0.0,
-                variability=variability,
-            )
-        )
-    if given:
-        raise ModelError(f"ukf: {group} of '{next(iter(given))}'; known: {', '.join(v.name for v in variables)}")
-    return tuple(made)

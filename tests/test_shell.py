@@ -236,7 +236,7 @@ REFUSED: dict[str, tuple[Callable[[Slave], object], list[str]]] = {
     "Real read as Boolean": (lambda s: s.fmu.getBoolean([0]), ["y", "Real"]),
     "Real set as String": (lambda s: s.fmu.setString([0], ["1"]), ["y", "Real"]),
     "derivative of second order": (lambda s: s.fmu.setRealInputDerivatives([0], [2], [1.0]), ["order 2", "y"]),
-    "derivative of a parameter": (lambda s: s.fmu.setRealInputDerivatives([2], [1], [1.0]), ["2 is no input"]),
+    "derivative of a parameter": (lambda s: s.fmu.setRealInputDerivatives([2], [1], [1.0]), ["2 is no Real input"]),
     "output derivative": (lambda s: s.fmu.getRealOutputDerivatives([8], [1]), ["maxOutputDerivativeOrder=0"]),
     "cancel": (lambda s: s.fmu.cancelStep(), ["no step is in progress"]),
     "initialization mode again": (

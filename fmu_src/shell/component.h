@@ -9,7 +9,7 @@
 typedef int Function(const double **arguments, double **results, int *iw, double *w, int memory);
 
 typedef enum { INPUT, FIXED_PARAMETER, TUNABLE_PARAMETER, OUTPUT, CONSTANT } Role;
-typedef enum { REAL, INTEGER } Type;
+typedef enum { REAL, INTEGER, BOOLEAN } Type;
 
 typedef struct {
     const char *name;

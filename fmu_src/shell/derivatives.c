@@ -14,9 +14,9 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
         return fmi2Error;
     }
     for (size_t i = 0; i < nvr; i++) {
-        if (vr[i] >= component.n_inputs) { /* inputs have the first value references, and all are Real */
-            report(self, fmi2Error, LOG_ERROR, "fmi2SetRealInputDerivatives: the value reference %u is no input's.",
-                   vr[i]);
+        if (vr[i] >= component.n_inputs || component.variables[vr[i]].type != REAL) { /* inputs come first */
+            report(self, fmi2Error, LOG_ERROR,
+                   "fmi2SetRealInputDerivatives: the value reference %u is no Real input's.", vr[i]);
             return fmi2Error;
         }
         if (order[i] != 1) {

@@ -8,7 +8,7 @@
 #define N_VARIABLES (component.n_inputs + component.n_parameters + component.n_outputs + component.n_constants)
 #define SETTABLE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE)
 
-static const char *const TYPE_NAMES[] = {"Real", "Integer"};
+static const char *const TYPE_NAMES[] = {"Real", "Integer", "Boolean"};
 
 /* The variable of this value reference and type, or NULL after a message. Enumerations count as Integer, as in the
    standard. */
@@ -154,7 +154,31 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
-/* No component has Boolean or String variables: an empty call is fine, any value reference is of the wrong type. */
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
+{
+    Instance *self = c;
+    if (!can_get(self, "fmi2GetBoolean", vr, nvr, value, BOOLEAN))
+        return fmi2Error;
+    for (size_t i = 0; i < nvr; i++)
+        value[i] = self->values[vr[i]] != 0 ? fmi2True : fmi2False;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[])
+{
+    Instance *self = c;
+    if (!allowed(self, "fmi2SetBoolean", SETTABLE) || !has_pointers(self, "fmi2SetBoolean", nvr, vr, value))
+        return fmi2Error;
+    for (size_t i = 0; i < nvr; i++)
+        if (!can_set(self, "fmi2SetBoolean", vr[i], BOOLEAN, value[i]))
+            return fmi2Error;
+    for (size_t i = 0; i < nvr; i++)
+        self->values[vr[i]] = value[i] != fmi2False;
+    was_set(self);
+    return fmi2OK;
+}
+
+/* No component has String variables: an empty call is fine, any value reference is of the wrong type. */
 static fmi2Status no_such_type(Instance *self, const char *function, unsigned lifecycles, const fmi2ValueReference vr[],
                                size_t nvr, const void *value)
 {
@@ -171,19 +195,9 @@ static fmi2Status no_such_type(Instance *self, const char *function, unsigned li
     return fmi2Error;
 }
 
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
-{
-    return no_such_type(c, "fmi2GetBoolean", ANY_STATE, vr, nvr, value);
-}
-
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[])
 {
     return no_such_type(c, "fmi2GetString", ANY_STATE, vr, nvr, value);
-}
-
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[])
-{
-    return no_such_type(c, "fmi2SetBoolean", SETTABLE, vr, nvr, value);
 }
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[])

@@ -1,239 +1,130 @@
-"""One Gauss-Newton step of the windowed least-squares problem, condensed to the unknowns s = [x0; theta].
+"""One Gauss-Newton step of the windowed least-squares problem, and what it is subject to.
 
-For the rates V and s, with X_Q = PhQ x0 + PsQ V + CQ the states that phi depends on:
+With the linearisation of `condense`, the step in s = [x0; theta] minimises
 
-    (I - blk(phi_x) PsQ) sol = [phi - V, phi_x PhQ, phi_theta]      dV = sol [1; ds]
-    M = d h / d [1; s] at the measured points                        r = h - y
-    (sum w M'M + lam I) ds = -sum w M'(r + M_0)
+    |r + M_0 + M ds|^2_W + |s + ds - sbar|^2_Pinv + lam |ds|^2                   (the arrival cost where there is one)
+
+subject to bounds on theta and x0 (a box), on the states at the nodes, and on the outputs at the measured points (rows with one common
+slack). Where the free step satisfies them all it is the solution.
 """
 
 from __future__ import annotations
 
-from functools import cache
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from observers.numerics import linear, tiles
-from observers.numerics.exact import product
-from observers.numerics.least_squares import LeastSquares, split_data
-from observers.numerics.pointwise import Pointwise
+from observers.numerics import condense, linear, tiles
+from observers.numerics.least_squares import LeastSquares
+from observers.numerics.quadratic_program import quadratic_program
+
+SLACK_WEIGHT = 1e3  # of a violated row, against the mean square of the residuals in nominal units
+FAR = 1e-3  # weight of the step in Problem 3, which has no curvature of its own: how far one linearisation is trusted
 
 
-def _rows(group: list[Any], start: int, size: int) -> Any:
-    chosen = group[start : start + size]
-    return ca.vertcat(*chosen)
+@dataclass(frozen=True)
+class Constraints:
+    """What the solution is subject to: `lower`, `upper` (ns) bounds of s, `node_lower`, `node_upper` those of the problem's bounded
+    states, `tube` whether the outputs are bounded too; infinite entries bound nothing.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    node_lower: np.ndarray
+    node_upper: np.ndarray
+    tube: bool = False
+
+    @property
+    def any(self) -> bool:
+        bounds = np.concatenate([self.lower, self.upper, self.node_lower, self.node_upper])
+        return self.tube or bool(np.isfinite(bounds).any())
 
 
-def output_residual(problem: LeastSquares) -> ca.Function:
-    """Function residual(V, s, data, p, y) -> h(points) - y, stacked (ny m)."""
-    kind: Any = ca.SX if problem.is_small else ca.MX
-    V, s, data, p, y = _symbols(problem, kind)
-    return ca.Function(
-        "residual",
-        [V, s, data, p, y],
-        [ca.vertcat(*[r for r, _ in _measured(problem, kind, V, s, data, p, y, None)])],
-    )
+@dataclass(frozen=True)
+class Solve:
+    """A problem, what it is subject to, and whether an arrival cost belongs to it.
+
+    `aim`: Problem 3 instead, in which the weights w (ny m) hold the direction in which the outputs are to go as far as they can.
+    """
+
+    problem: LeastSquares
+    constraints: Constraints
+    arrival: bool = False
+    aim: bool = False
+
+    @property
+    def given(self) -> dict[str, int]:
+        """Names and lengths of what is fixed within a solve."""
+        problem, ns = self.problem, len(self.problem.scale)
+        measured = problem.ny * problem.n_measured
+        sizes = {"data": problem.n_data, "p": problem.n_parameters, "y": measured, "w": measured, "lam": 1}
+        if problem.count > 1:
+            sizes["active"] = problem.count
+        if self.arrival:
+            sizes |= {"prior_mean": ns, "prior_information": ns * ns}
+        if self.constraints.tube:
+            sizes |= {"lower": measured, "upper": measured, "mask": measured}
+        return sizes
 
 
-def newton_step(problem: LeastSquares) -> ca.Function:
-    """Function newton(V, s, data, p, y, w, lam, length) -> (V+, s+, size, cost, conditioning).
+def newton_step(solve: Solve) -> ca.Function:
+    """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, slack).
 
     The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the weighted sum of squares that the linearisation predicts
-    after the whole step, `conditioning` in [0, 1] the smallest pivot of the scaled normal matrix over the largest.
+    after the whole step, `conditioning` in [0, 1] the smallest pivot of the scaled normal matrix over the largest, `slack` by how much
+    the rows had to be relaxed, in nominal units.
     """
-    kind: Any = ca.SX if problem.is_small else ca.MX
-    V, s, data, p, y = _symbols(problem, kind)
-    w = kind.sym("w", problem.ny * len(problem.points))
-    lam, length = kind.sym("lam"), kind.sym("length")
-    sol = _condense(problem, kind, V, s, data, p)
-    rows = _measured(problem, kind, V, s, data, p, y, sol)
-    nxt = 1 + problem.nx + problem.n_theta
-    normal, start = kind(ca.DM.zeros(nxt, nxt)), 0
-    for r, M in rows:
-        normal = normal + _normal(M.shape[0], nxt)(r, M, w[start : start + M.shape[0]])
-        start += M.shape[0]
-    step, conditioning, cost = _reduced(tuple(problem.scale))(normal, lam)
+    problem = solve.problem
+    kind = ca.MX if solve.constraints.any else problem.kind
+    V, Z, s, *_ = condense.symbols(problem, kind)
+    g = {name: kind.sym(name, size) for name, size in solve.given.items()}
+    length = kind.sym("length")
+    at = condense.linearise(problem, V, Z, s, g["data"], g["p"], g["y"], g["w"], g.get("active"))
+    normal = at.normal
+    if solve.arrival:
+        normal = normal + _prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
+    if solve.aim:
+        normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
+    step, conditioning, cost = _free(tuple(problem.scale))(normal, g["lam"])
+    slack: Any = 0
+    if solve.constraints.any:
+        step, slack, ok = _constrained(solve, s, at, normal, g)
+        step = ca.if_else(ok, step, np.inf)
     full = ca.vertcat(1, length * step)
-    dV = ca.vertcat(*[tiles.product(block.shape[0], nxt)(block, full) for block in sol]) if sol else kind(0, 1)
-    weights = np.tile(1 / problem.rate_scale, problem.window.order) if problem.n_rates else np.zeros(0)
+    dV = (
+        ca.vertcat(*[tiles.product(block.shape[0], full.shape[0])(block, full) for block in at.sol])
+        if problem.n_rates
+        else kind(0, 1)
+    )
+    weights = np.tile(1 / problem.rate_scale, problem.segment.order * problem.count) if problem.n_rates else np.zeros(0)
     size = ca.sumsqr(step / problem.scale) + (ca.sumsqr(dV * weights) if problem.n_rates else 0)
-    return ca.Function(
-        "newton", [V, s, data, p, y, w, lam, length], [V + dV, s + length * step, size, cost, conditioning]
-    )
+    results = [V + dV, at.Z, s + length * step, size, cost, conditioning, slack]
+    return ca.Function("newton", [V, Z, s, length, *g.values()], results)
 
 
-def _symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
-    counts = (
-        problem.n_rates,
-        problem.nx + problem.n_theta,
-        sum(problem.lengths),
-        problem.n_parameters,
-        problem.ny * len(problem.points),
-    )
-    return tuple(kind.sym(name, count) for name, count in zip(("V", "s", "data", "p", "y"), counts, strict=True))
+def _prior(ns: int) -> ca.Function:
+    """|s + ds - mean|^2_information as a symmetric matrix in [1; ds]."""
+    s, mean, information = ca.SX.sym("s", ns), ca.SX.sym("mean", ns), ca.SX.sym("information", ns * ns)
+    P = ca.reshape(information, ns, ns)
+    right = ca.mtimes(P, s - mean)
+    full = ca.vertcat(ca.horzcat(ca.dot(s - mean, right), right.T), ca.horzcat(right, P))
+    return ca.Function("prior", [s, mean, information], [full])
 
 
-def _condense(problem: LeastSquares, kind: Any, V: Any, s: Any, data: Any, p: Any) -> list[Any]:
-    """sol, d V / d [1; s], in groups of rows."""
-    rates, w = problem.rates, problem.window
-    if rates.n == 0:
-        return []
-    PhQ, PsQ, _ = w.at(w.node_times[1:], w.split.states)
-    CQ, e, *_ = split_data(problem, data)
-    groups = [w.order] if kind is ca.SX else tiles.sizes(w.order, max(1, tiles.TILE // rates.n))
-    nq, nv, nx = rates.n_states, rates.n, problem.nx
-    x0, theta = s[:nx], s[nx:]
-    collocated = {size: _collocated(rates, size, nx) for size in set(groups)}
-    A: list[list[Any]] = []
-    b: list[Any] = []
-    first = 0
-    for size in groups:
-        q, v = slice(first * nq, (first + size) * nq), slice(first * nv, (first + size) * nv)
-        xq = _affine(kind, PhQ[q], x0, PsQ[q], V, _rows(CQ, first, size))
-        slope, right = collocated[size](xq, _rows(e, first, size), p, theta, V[v], kind(ca.DM(PhQ[q])))
-        row, column = [], 0
-        for other in groups:
-            c = slice(column * nv, (column + other) * nv)
-            row.append(_tile(nv, nq, size, other, first == column)(slope, kind(ca.DM(PsQ[q, c]))))
-            column += other
-        A.append(row)
-        b.append(right)
-        first += size
-    return tiles.solve_tiles(A, b)
+def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
+    """-w' M ds + FAR |ds / scale|^2 / 2, doubled, as a symmetric matrix in [1; ds]."""
+    M, w = ca.SX.sym("M", m, 1 + len(scale)), ca.SX.sym("w", m)
+    slope = -ca.mtimes(M[:, 1:].T, w)
+    curvature = ca.SX(ca.diag(ca.DM(FAR / np.array(scale) ** 2)))
+    full = ca.vertcat(ca.horzcat(0, slope.T), ca.horzcat(slope, curvature))
+    return ca.Function("aim", [M, w], [ca.densify(full)])
 
 
-def _measured(
-    problem: LeastSquares,
-    kind: Any,
-    V: Any,
-    s: Any,
-    data: Any,
-    p: Any,
-    y: Any,
-    sol: list[Any] | None,
-) -> list[tuple[Any, Any]]:
-    """(r, M) by groups of measured points: residual h - y and, where `sol` is given, its derivative with respect to [1; s]."""
-    rest, nx, ny, m = problem.output_rest, problem.nx, problem.ny, len(problem.points)
-    Ph, Ps, _ = problem.window.at(problem.points)
-    C = np.kron(np.eye(m), problem.output.A)
-    CPh, CPs = product(C, Ph), product(C, Ps)
-    PhH, PsH, _ = problem.window.at(problem.points, problem.output.states)
-    *_, offset, CH, eh = split_data(problem, data)
-    x0, theta = s[:nx], s[nx:]
-    nh = rest.n_states
-    groups = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
-    observed = {size: _observed(rest, size) for size in set(groups)} if rest.n else {}
-    out, first = [], 0
-    for size in groups:
-        rows, h = slice(first * ny, (first + size) * ny), slice(first * nh, (first + size) * nh)
-        r = _affine(kind, CPh[rows], x0, CPs[rows], V, _rows(offset, first, size)) - y[rows]
-        M = _sensitivity(kind, CPh[rows], CPs[rows], sol, problem.n_theta) if sol is not None else None
-        if rest.n:
-            xh = _affine(kind, PhH[h], x0, PsH[h], V, _rows(CH, first, size))
-            eh_rows = _rows(eh, first, size)
-            embed = ca.DM(np.kron(np.eye(size), problem.output.E))
-            value, slope, by_theta = observed[size](xh, eh_rows, p, theta)
-            r = r + ca.mtimes(embed, value)
-            if M is not None:
-                moved = _sensitivity(kind, PhH[h], PsH[h], sol or [], problem.n_theta)
-                M = M + ca.mtimes(embed, _chain(rest.n, nh, size, moved.shape[1])(slope, moved))
-                if problem.n_theta:
-                    M = M + ca.horzcat(kind(ca.DM.zeros(size * ny, 1 + nx)), ca.mtimes(embed, by_theta))
-        out.append((r, M))
-        first += size
-    return out
-
-
-def _affine(kind: Any, Ph: np.ndarray, x0: Any, Ps: np.ndarray, V: Any, offset: Any) -> Any:
-    return ca.mtimes(kind(ca.DM(Ph)), x0) + ca.mtimes(kind(ca.DM(Ps)), V) + offset
-
-
-def _sensitivity(kind: Any, Ph: np.ndarray, Ps: np.ndarray, sol: list[Any], n_theta: int) -> Any:
-    """Ps sol + [0 Ph 0]: d x(points) / d [1; x0; theta]."""
-    total: Any = kind(ca.DM(np.hstack([np.zeros((len(Ph), 1)), Ph, np.zeros((len(Ph), n_theta))])))
-    column = 0
-    for block in sol:
-        n = block.shape[0]
-        total = tiles.multiply_add(Ph.shape[0], n, block.shape[1], 1.0)(
-            total, kind(ca.DM(Ps[:, column : column + n])), block
-        )
-        column += n
-    return total
-
-
-# The group functions.
-
-
-@cache
-def _tile(nv: int, nq: int, size: int, other: int, diagonal: bool) -> ca.Function:
-    """-blk(phi_x) PsQ, plus the identity on the diagonal; phi_x stacked (size nv x nq)."""
-
-    def body(slope: ca.SX, PsQ: ca.SX) -> ca.SX:
-        rows = [-ca.mtimes(slope[j * nv : (j + 1) * nv, :], PsQ[j * nq : (j + 1) * nq, :]) for j in range(size)]
-        return ca.vertcat(*rows) + (ca.SX(ca.DM.eye(size * nv)) if diagonal else 0)
-
-    name = f"tile_{nv}_{nq}_{size}_{other}{'_d' if diagonal else ''}"
-    return tiles.function(name, (size * nv, nq), (size * nq, other * nv))(body)
-
-
-def _collocated(rates: Pointwise, size: int, nx: int) -> ca.Function:
-    """phi_x stacked (size nv x nq) and the right-hand side [phi - V, phi_x PhQ, phi_theta] of `size` nodes."""
-    nq, ne, nv = rates.n_states, rates.n_known, rates.n
-    n_p, n_theta = rates.value.numel_in(2), rates.value.numel_in(3)
-
-    def body(xq: ca.SX, e: ca.SX, p: ca.SX, theta: ca.SX, V: ca.SX, PhQ: ca.SX) -> tuple[ca.SX, ca.SX]:
-        slopes, right = [], []
-        for j in range(size):
-            q = slice(j * nq, (j + 1) * nq)
-            value, slope, by_theta = rates.value(xq[q], e[j * ne : (j + 1) * ne], p, theta)
-            slopes.append(slope)
-            right.append(ca.horzcat(value - V[j * nv : (j + 1) * nv], ca.mtimes(slope, PhQ[q, :]), by_theta))
-        return ca.vertcat(*slopes), ca.vertcat(*right)
-
-    shapes = [(size * nq, 1), (size * ne, 1), (n_p, 1), (n_theta, 1), (size * nv, 1), (size * nq, nx)]
-    return tiles.function(f"collocated_{size}", *shapes)(body)
-
-
-def _observed(rest: Pointwise, size: int) -> ca.Function:
-    """h_n, its derivatives by the states (stacked size n x nh) and by theta, at `size` points."""
-    nh, ne = rest.n_states, rest.n_known
-    n_p, n_theta = rest.value.numel_in(2), rest.value.numel_in(3)
-
-    def body(xh: ca.SX, e: ca.SX, p: ca.SX, theta: ca.SX) -> tuple[ca.SX, ...]:
-        found = [rest.value(xh[i * nh : (i + 1) * nh], e[i * ne : (i + 1) * ne], p, theta) for i in range(size)]
-        return tuple(ca.vertcat(*column) for column in zip(*found, strict=True))
-
-    return tiles.function(f"observed_{size}", (size * nh, 1), (size * ne, 1), (n_p, 1), (n_theta, 1))(body)
-
-
-@cache
-def _chain(n: int, nh: int, size: int, m: int) -> ca.Function:
-    """blk(slopes) moved, with the slopes stacked (size n x nh)."""
-
-    def body(slope: ca.SX, moved: ca.SX) -> ca.SX:
-        return ca.vertcat(
-            *[ca.mtimes(slope[i * n : (i + 1) * n, :], moved[i * nh : (i + 1) * nh, :]) for i in range(size)]
-        )
-
-    return tiles.function(f"chain_{n}_{nh}_{size}_{m}", (size * n, nh), (size * nh, m))(body)
-
-
-@cache
-def _normal(rows: int, n: int) -> ca.Function:
-    """[r + M_0, M_s]' W [r + M_0, M_s]: normal matrix, gradient and cost in one symmetric matrix."""
-
-    def body(r: ca.SX, M: ca.SX, w: ca.SX) -> ca.SX:
-        full = ca.horzcat(r + M[:, 0], M[:, 1:])
-        return ca.mtimes((full * ca.repmat(w, 1, n)).T, full)
-
-    return tiles.function(f"normal_{rows}_{n}", (rows, 1), (rows, n), (rows, 1))(body)
-
-
-def _reduced(scale: tuple[float, ...]) -> ca.Function:
-    """(step, conditioning, cost after the step) from the matrix of `_normal` and the regularisation, in units of `scale`."""
+def _free(scale: tuple[float, ...]) -> ca.Function:
+    """(step, conditioning, cost after the step) from the matrix of squares and the regularisation, in units of `scale`."""
     ns = len(scale)
 
     def body(full: ca.SX, lam: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -244,3 +135,40 @@ def _reduced(scale: tuple[float, ...]) -> ca.Function:
         return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0)
 
     return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
+
+
+def _constrained(solve: Solve, s: Any, at: condense.Linearised, normal: Any, g: dict[str, Any]) -> tuple[Any, Any, Any]:
+    """(step, slack, ok): the step under the constraints, as a small quadratic program in units of the nominal values."""
+    problem, c = solve.problem, solve.constraints
+    ns, scale = len(problem.scale), ca.DM(problem.scale)
+    A, b, mask = [], [], []
+
+    def rows(slope: Any, room: Any, there: Any) -> None:
+        A.append(slope)
+        b.append(room)
+        mask.append(there)
+
+    if c.tube:
+        unit = ca.DM(np.tile(1 / problem.output_scale, problem.n_measured))
+        predicted, M = at.residual + at.sensitivity[:, 0] + g["y"], at.sensitivity[:, 1:] * ca.repmat(unit, 1, ns)
+        rows(M, unit * (g["upper"] - predicted), g["mask"])
+        rows(-M, unit * (predicted - g["lower"]), g["mask"])
+    if problem.bounded:
+        repeat = problem.segment.order * problem.count
+        unit = ca.DM(np.tile(1 / problem.scale[list(problem.bounded)], repeat))
+        predicted, G = at.nodes + at.node_sensitivity[:, 0], at.node_sensitivity[:, 1:]
+        for sign, bound in ((1.0, c.node_upper), (-1.0, c.node_lower)):
+            there = np.isfinite(bound)
+            room = sign * (ca.DM(np.tile(np.where(there, bound, 0.0), repeat)) - predicted)
+            rows(sign * G * ca.repmat(unit, 1, ns), unit * room, ca.DM(np.tile(there.astype(float), repeat)))
+    if not A:
+        rows(ca.DM.zeros(1, ns), ca.DM.zeros(1), ca.DM.zeros(1))
+    # The program is in the mean square of the residuals: the slack's weight is then one number for every window.
+    unit = 1 / ca.fmax(ca.sum1(g["w"]), 1e-300) if not solve.aim else ca.DM(1)
+    S = ca.diag(scale)
+    H = unit * (S @ normal[1:, 1:] @ S) + (0 if solve.aim else unit * g["lam"]) * ca.DM.eye(ns)
+    stacked = ca.vertcat(*A) @ S
+    box = [(ca.DM(bound) - s) / scale for bound in (c.lower, c.upper)]
+    arguments = [H, unit * (S @ normal[1:, 0]), stacked, ca.vertcat(*b), ca.vertcat(*mask), *box, SLACK_WEIGHT]
+    q, slack, _, ok = quadratic_program(ns, stacked.shape[0])(*arguments)
+    return scale * q, slack, ok

@@ -36,6 +36,6 @@ class Layout:
             columns.append(column)
         return ca.vertcat(*columns)
 
-    def replace(self, z: Any, **changed: Any) -> Any:
+    def replace(self, z: Any, /, **changed: Any) -> Any:
         """z with some parts changed."""
         return self.pack({**vars(self.unpack(z)), **changed})

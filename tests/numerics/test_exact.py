@@ -13,11 +13,11 @@ from observers.numerics.exact import product, rounded
 CONSTANTS = """
 import hashlib
 from observers.numerics import lgl
-from observers.numerics.collocation import window
+from observers.numerics.collocation import segment
 from observers.numerics.semilinear import split
 from reference_models.duffing import DUFFING
 eq = DUFFING.equations
-w = window(split(eq.ode, eq.x, eq.u), 15, 8, 0.1)
+w = segment(split(eq.ode, eq.x, eq.u), 15, 8, 0.1)
 print(hashlib.sha256(b"".join(part.tobytes() for part in (*w.at(w.node_times), *w.node0, lgl.weights(15)))).hexdigest())
 """
 

@@ -1,0 +1,152 @@
+"""Bounded measurement noise: section 3.4 of Gong, Ross & Kang 2007, (36) to (40) and Problem 3.
+
+With |d_i| <= b the clean output lies in the tube sigma1 <= h(z(t_i)) <= sigma2 (38). For a new sample the tube is y +- b (39), cut with what
+the past data leave possible (40): y_pre +- sqrt(J*), where J* of Problem 3 is how far a trajectory through the tube of the older samples
+can be from the predicted output at the new one.
+
+What deviates, and why: Problem 3 is solved on the window that ends with the new sample, so that the oldest sample has left it (a bound
+that is slightly wider, and still a bound). It is solved once for the largest and once for the smallest output, each only locally: the
+bound gets a margin (`tuning.bound_margin`), and where one of the two does not converge y +- b stays, which is counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from observers.component import Port
+from observers.model import Model, ModelError
+from observers.numerics.condense import output_residual
+from observers.numerics.gauss_newton import Constraints, Solve
+from observers.numerics.iteration import HUGE, iterate
+from observers.numerics.sliding import insert_sample
+
+if TYPE_CHECKING:
+    from observers.moving_horizon import Method
+
+MET = 1e-6  # slack up to which Problem 3's solution lies in the tube, in nominal units
+
+
+@dataclass(frozen=True)
+class BoundPorts:
+    """`tuning` parameters and `diagnostics` outputs."""
+
+    tuning: tuple[Port, ...] = ()
+    diagnostics: tuple[Port, ...] = ()
+
+
+def ports_of(model: Model, noise_bound: float | Mapping[str, float] | None) -> BoundPorts:
+    """The ports of a tube; none without a noise bound.
+
+    Raises:
+        ModelError: a bound of something that is no output, an output without one, or one that is not positive.
+    """
+    if noise_bound is None:
+        return BoundPorts()
+    given = dict(noise_bound) if isinstance(noise_bound, Mapping) else {v.name: noise_bound for v in model.outputs}
+    names = [v.name for v in model.outputs]
+    for name in {*given} ^ {*names}:
+        raise ModelError(f"pseudospectral: noise_bound of '{name}'; the outputs are {', '.join(names)}")
+    several = len(names) > 1
+    tuning, lower, upper = [], [], []
+    for i, v in enumerate(model.outputs, start=1):
+        if not given[v.name] > 0:
+            raise ModelError(f"pseudospectral: noise_bound of '{v.name}' = {given[v.name]:g} must be positive")
+        index, what = f"[{i}]" if several else "", v.description or v.name
+        text = f"bound of the measurement noise of {what}"
+        tuning.append(
+            Port(f"tuning.noise_bound{index}", text, v.unit, given[v.name], v.nominal, min=0.0, variability="tunable")
+        )
+        for which, ports, text in (("lower", lower, "sigma1, lower"), ("upper", upper, "sigma2, upper")):
+            text = f"{text} bound of the clean {what} at the last sample"
+            ports.append(Port(f"diagnostics.{which}{index}", text, v.unit, nominal=v.nominal, variability="discrete"))
+    margin = Port(
+        "tuning.bound_margin",
+        "widening of Problem 3's bound, in units of the outputs' nominal values; large: y +- b alone",
+        start=5e-3,
+        min=0.0,
+        variability="tunable",
+    )
+    counts = (
+        Port(
+            "diagnostics.refined_bounds",
+            "outputs' samples so far whose bound Problem 3 gave",
+            kind="Integer",
+            variability="discrete",
+        ),
+        Port(
+            "diagnostics.bound_fallbacks",
+            "outputs' samples so far for which Problem 3 failed: y +- b",
+            kind="Integer",
+            variability="discrete",
+        ),
+    )
+    return BoundPorts((*tuning, margin), (*lower, *upper, *counts))
+
+
+def state(model: Model, constraints: Constraints, L: int) -> dict[str, int]:
+    """Sizes of what is kept from sample to sample: the window's bounds, and the values of the diagnostics."""
+    ny = len(model.outputs) if constraints.tube else 0
+    return {"lower": ny * (L + 1), "upper": ny * (L + 1), "bounds": 2 * ny + 2 if constraints.tube else 0}
+
+
+def bounds(
+    method: Method,
+    s: SimpleNamespace,
+    q: SimpleNamespace,
+    at: tuple[Any, Any, Any],
+    given: Mapping[str, Any],
+    residual: Any,
+    valid: Any,
+    y: Any,
+    W: Any,
+    place: Any,
+    warm: Any,
+) -> dict[str, Any]:
+    """The window's bounds `lower`, `upper` with those of the new sample, and the diagnostics' values.
+
+    `at` is the warm start (V, Z, s), `residual` its h - y, y (ny) the new measurements, W the samples' weights.
+    """
+    problem, ny = method.problem, method.problem.ny
+    refined, fallbacks = s.bounds[2 * ny], s.bounds[2 * ny + 1]
+    b, scale = q.noise_bound, ca.DM(problem.output_scale)
+    insert = insert_sample(ny, method.samples + 1)
+    old = [insert(column, ca.DM.zeros(ny), s.k) for column in (s.lower, s.upper)]
+    newest = ca.DM(range(ny * problem.n_measured))
+    problem_3 = Solve(problem, method.constraints, aim=True)
+    solve = iterate(problem_3)
+    here = output_residual(problem)
+    lower, upper = [], []
+    for i in range(ny):
+        mine = newest == place * ny + i
+        # Of the predicted output, and of the furthest one either way: the same measurement y cancels.
+        predicted = ca.dot(mine, residual)
+        wanted = ca.logic_and(ca.logic_and(warm, ca.sum1(W) > len(problem.scale)), valid[i])
+        distances, ok = [], wanted
+        for sign in (1.0, -1.0):
+            own = {**given, "w": sign * mine, "lower": old[0], "upper": old[1], "mask": W * (newest < place * ny)}
+            found = solve(wanted, *at, q.tolerance, q.iteration_limit, *[own[name] for name in problem_3.given])
+            V, Z, unknown, size, _, _, slack, _ = found
+            reached = ca.dot(mine, here(V, Z, unknown, given["data"], given["p"], given["y"]))
+            distances.append(sign * (reached - predicted))
+            met = ca.logic_and(size < q.tolerance**2, slack < MET)
+            ok = ca.logic_and(ok, ca.logic_and(met, ca.fabs(reached) < HUGE))
+        radius = ca.fmax(*distances) + q.bound_margin * scale[i]
+        sigma1, sigma2 = (
+            ca.fmax(y[i] - b[i], predicted + y[i] - radius),
+            ca.fmin(y[i] + b[i], predicted + y[i] + radius),
+        )
+        ok = ca.logic_and(ok, sigma1 < sigma2)
+        lower.append(ca.if_else(ok, sigma1, y[i] - b[i]))
+        upper.append(ca.if_else(ok, sigma2, y[i] + b[i]))
+        refined, fallbacks = refined + ok, fallbacks + ca.logic_and(wanted, ca.logic_not(ok))
+    now = [ca.vertcat(*lower), ca.vertcat(*upper)]
+    return {
+        "lower": insert(s.lower, now[0], s.k),
+        "upper": insert(s.upper, now[1], s.k),
+        "bounds": ca.vertcat(*now, refined, fallbacks),
+    }

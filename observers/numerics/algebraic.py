@@ -1,0 +1,37 @@
+"""Algebraic variables eliminated: z solves g(x, z) = 0 by Newton's method from a value nearby, which also says which of several branches."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from observers.numerics import linear
+from observers.numerics.equations import Equations
+
+STEPS = 3  # of Newton's method: what calls it goes on from where they end
+
+
+def solution(g: ca.SX, z: ca.SX, z0: ca.SX) -> ca.SX:
+    """The expression for z (nz) with g(z) = 0 from z0, by STEPS Newton steps."""
+    others = [s for s in ca.symvar(g) if not ca.depends_on(z, s)]
+    step = ca.Function("step", [z, *others], [z - linear.qr_solve(ca.jacobian(g, z), g)])
+    found = z0
+    for _ in range(STEPS):
+        found = step(found, *others)
+    return found
+
+
+def motion(eq: Equations) -> ca.Function:
+    """motion(x, u, p, theta, t, z0) -> (x', z), the model as an ordinary differential equation."""
+    return ca.Function("motion", *_eliminated(eq, eq.ode), {"cse": True})
+
+
+def measurement(eq: Equations) -> ca.Function:
+    """measurement(x, u, p, theta, t, z0) -> (y, z)."""
+    return ca.Function("measurement", *_eliminated(eq, eq.output), {"cse": True})
+
+
+def _eliminated(eq: Equations, expression: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
+    z0 = ca.SX.sym("z0", eq.z.numel())
+    z = solution(eq.algebraic, eq.z, z0) if eq.z.numel() else eq.z
+    value = ca.substitute(expression, eq.z, z) if eq.z.numel() else expression
+    return [eq.x, eq.u, eq.p, eq.theta, eq.t, z0], [value, z]
