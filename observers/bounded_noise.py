@@ -150,3 +150,13 @@ def bounds(
         "upper": insert(s.upper, now[1], s.k),
         "bounds": ca.vertcat(*now, refined, fallbacks),
     }
+
+
+def released(method: Method, q: SimpleNamespace, made: Mapping[str, Any], y: Any, contradiction: Any) -> dict[str, Any]:
+    """`bounds`' result with y +- b for the whole window where `contradiction`, counted as a fallback; y are the window's measurements."""
+    ny, count = method.problem.ny, method.problem.n_measured
+    b = ca.repmat(q.noise_bound, count, 1)
+    lower, upper = (ca.if_else(contradiction, y + sign * b, made[name]) for name, sign in (("lower", -1), ("upper", 1)))
+    now = [ca.if_else(contradiction, side[-ny:], made["bounds"][i * ny : (i + 1) * ny]) for i, side in enumerate((lower, upper))]
+    refined, fallbacks = made["bounds"][2 * ny], made["bounds"][2 * ny + 1]
+    return {"lower": lower, "upper": upper, "bounds": ca.vertcat(*now, refined, fallbacks + contradiction)}

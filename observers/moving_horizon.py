@@ -173,9 +173,16 @@ def jump(method: Method) -> ca.Function:
     below = ca.logic_and(before < q.cost_threshold, fresh == WARM)
     due = ca.logic_and(wanted, ca.logic_not(below))
     problem_2 = Solve(problem, method.constraints, method.arrival)
-    found = iterate(problem_2)(
-        due, V, Z, unknown, q.tolerance, q.iteration_limit, *[given[name] for name in problem_2.given]
-    )
+    solve = iterate(problem_2)
+    limits = [q.tolerance, q.iteration_limit]
+    found = solve(due, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
+    if method.constraints.tube:
+        # Bounds that contradict each other have gone wrong somewhere: all of them start again from y +- b.
+        contradiction = ca.logic_and(due, ca.logic_not(found[6] <= VIOLATED))
+        bounds = bounded_noise.released(method, q, bounds, compared, contradiction)
+        given |= {"lower": bounds["lower"], "upper": bounds["upper"]}
+        again = solve(contradiction, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
+        found = [ca.if_else(contradiction, b, a) for a, b in zip(found, again, strict=True)]
     V_new, Z_new, unknown_new, size, cost_after, conditioning, slack, iterations = found
     sound = ca.sumsqr(ca.vertcat(V_new, Z_new, unknown_new)) < HUGE
     converged = ca.logic_and(ca.logic_and(due, sound), size < q.tolerance**2)

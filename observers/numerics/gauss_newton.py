@@ -21,7 +21,7 @@ from observers.numerics.least_squares import LeastSquares
 from observers.numerics.quadratic_program import quadratic_program
 
 SLACK_WEIGHT = 1e3  # of a violated row, against the mean square of the residuals in nominal units
-FAR = 1e-3  # weight of the step in Problem 3, which has no curvature of its own: how far one linearisation is trusted
+FAR = 1e-2  # weight of the step in Problem 3, which has no curvature of its own
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ def newton_step(solve: Solve) -> ca.Function:
     kind = ca.MX if solve.constraints.any else problem.kind
     V, Z, s, *_ = condense.symbols(problem, kind)
     g = {name: kind.sym(name, size) for name, size in solve.given.items()}
-    length = kind.sym("length")
+    whole = kind.sym("length")
+    length: Any = whole
     at = condense.linearise(problem, V, Z, s, g["data"], g["p"], g["y"], g["w"], g.get("active"))
     normal = at.normal
     if solve.arrival:
@@ -91,8 +92,11 @@ def newton_step(solve: Solve) -> ca.Function:
     step, conditioning, cost = _free(tuple(problem.scale))(normal, g["lam"])
     slack: Any = 0
     if solve.constraints.any:
-        step, slack, ok = _constrained(solve, s, at, normal, g)
+        # A linear objective goes to and fro between two corners where the edge between them is curved: then the step is kept short.
+        reach = ca.if_else(length < 1, length, np.inf) if solve.aim else np.inf
+        step, slack, ok = _constrained(solve, s, at, normal, g, reach)
         step = ca.if_else(ok, step, np.inf)
+        length = 1 if solve.aim else length
     full = ca.vertcat(1, length * step)
     dV = (
         ca.vertcat(*[tiles.product(block.shape[0], full.shape[0])(block, full) for block in at.sol])
@@ -102,7 +106,7 @@ def newton_step(solve: Solve) -> ca.Function:
     weights = np.tile(1 / problem.rate_scale, problem.segment.order * problem.count) if problem.n_rates else np.zeros(0)
     size = ca.sumsqr(step / problem.scale) + (ca.sumsqr(dV * weights) if problem.n_rates else 0)
     results = [V + dV, at.Z, s + length * step, size, cost, conditioning, slack]
-    return ca.Function("newton", [V, Z, s, length, *g.values()], results)
+    return ca.Function("newton", [V, Z, s, whole, *g.values()], results)
 
 
 def _prior(ns: int) -> ca.Function:
@@ -115,7 +119,7 @@ def _prior(ns: int) -> ca.Function:
 
 
 def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
-    """-w' M ds + FAR |ds / scale|^2 / 2, doubled, as a symmetric matrix in [1; ds]."""
+    """-2 w' M ds + FAR |ds / scale|^2 as a symmetric matrix in [1; ds]."""
     M, w = ca.SX.sym("M", m, 1 + len(scale)), ca.SX.sym("w", m)
     slope = -ca.mtimes(M[:, 1:].T, w)
     curvature = ca.SX(ca.diag(ca.DM(FAR / np.array(scale) ** 2)))
@@ -137,8 +141,11 @@ def _free(scale: tuple[float, ...]) -> ca.Function:
     return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
 
 
-def _constrained(solve: Solve, s: Any, at: condense.Linearised, normal: Any, g: dict[str, Any]) -> tuple[Any, Any, Any]:
-    """(step, slack, ok): the step under the constraints, as a small quadratic program in units of the nominal values."""
+def _constrained(
+    solve: Solve, s: Any, at: condense.Linearised, normal: Any, g: dict[str, Any], reach: Any
+) -> tuple[Any, Any, Any]:
+    """(step, slack, ok): the step under the constraints, as a small quadratic program in units of the nominal values; none of its entries
+    beyond `reach`."""
     problem, c = solve.problem, solve.constraints
     ns, scale = len(problem.scale), ca.DM(problem.scale)
     A, b, mask = [], [], []
@@ -168,7 +175,8 @@ def _constrained(solve: Solve, s: Any, at: condense.Linearised, normal: Any, g: 
     S = ca.diag(scale)
     H = unit * (S @ normal[1:, 1:] @ S) + (0 if solve.aim else unit * g["lam"]) * ca.DM.eye(ns)
     stacked = ca.vertcat(*A) @ S
-    box = [(ca.DM(bound) - s) / scale for bound in (c.lower, c.upper)]
+    lower, upper = ((ca.DM(bound) - s) / scale for bound in (c.lower, c.upper))
+    box = [ca.fmax(lower, -reach), ca.fmin(upper, reach)]
     arguments = [H, unit * (S @ normal[1:, 0]), stacked, ca.vertcat(*b), ca.vertcat(*mask), *box, SLACK_WEIGHT]
     q, slack, _, ok = quadratic_program(ns, stacked.shape[0])(*arguments)
     return scale * q, slack, ok

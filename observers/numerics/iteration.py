@@ -12,6 +12,7 @@ from observers.numerics.gauss_newton import Solve
 
 FIRST_STEPS = 3  # most samples need one or two: what comes later is jumped over as a whole
 WHOLE_STEPS = 15
+WHOLE_STEPS_AIMED = 8  # of Problem 3, whose steps then get shorter and shorter
 MOST_ITERATIONS = 40
 DAMPING = 0.5  # of later steps: where noise makes the residual's curvature turn whole steps into a cycle
 HUGE = 1e150  # beyond: not finite; its square still is a number
@@ -26,14 +27,18 @@ def iterate(solve: Solve) -> ca.Function:
     """
     newton = gauss_newton.newton_step(solve)
     V, Z, s, _, *fixed = (ca.MX.sym(newton.name_in(i), newton.numel_in(i)) for i in range(newton.n_in()))
+    whole_steps = WHOLE_STEPS_AIMED if solve.aim else WHOLE_STEPS
     go, tolerance, limit = ca.MX.sym("go"), ca.MX.sym("tolerance"), ca.MX.sym("limit")
     results = dict.fromkeys(("size", "cost", "conditioning", "slack", "iterations"), 1)
     state = lay.Layout(V=V.numel(), Z=Z.numel(), s=s.numel(), **results)
     now = ca.MX.sym("now", state.total)
     stay = ca.Function("stay", [now, *fixed], [now])
 
-    def step(name: str, length: float) -> ca.Function:
+    def step(name: str, damped: bool) -> ca.Function:
         parts = state.unpack(now)
+        length: Any = 1.0
+        if damped:
+            length = DAMPING ** (parts.iterations - whole_steps + 1) if solve.aim else DAMPING
         values = newton(parts.V, parts.Z, parts.s, length, *fixed)
         after = dict(zip(state.sizes, values, strict=False))
         after["iterations"] = parts.iterations + 1
@@ -49,8 +54,8 @@ def iterate(solve: Solve) -> ca.Function:
             value = one(unfinished(value), value, *fixed)
         return value
 
-    whole, damped = step("step", 1.0), step("damped_step", DAMPING)
-    later = chain(chain(now, WHOLE_STEPS - FIRST_STEPS, whole), MOST_ITERATIONS - WHOLE_STEPS, damped)
+    whole, damped = step("step", False), step("damped_step", True)
+    later = chain(chain(now, whole_steps - FIRST_STEPS, whole), MOST_ITERATIONS - whole_steps, damped)
     tail = ca.Function("tail", [now, *fixed, tolerance, limit], [later])
     no_tail = ca.Function("no_tail", [now, *fixed, tolerance, limit], [now])
     start = {"V": V, "Z": Z, "s": s} | dict.fromkeys(results, 0) | {"size": ca.if_else(go, HUGE / 2, 0)}
