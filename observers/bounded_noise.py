@@ -126,15 +126,23 @@ def bounds(
         # Of the predicted output, and of the furthest one either way: the same measurement y cancels.
         predicted = ca.dot(mine, residual)
         wanted = ca.logic_and(ca.logic_and(warm, ca.sum1(W) > len(problem.scale)), valid[i])
-        distances, ok = [], wanted
-        for sign in (1.0, -1.0):
-            own = {**given, "w": sign * mine, "lower": old[0], "upper": old[1], "mask": W * (newest < place * ny)}
-            found = solve(wanted, *at, q.tolerance, q.iteration_limit, *[own[name] for name in problem_3.given])
-            V, Z, unknown, size, _, _, slack, _ = found
-            reached = ca.dot(mine, here(V, Z, unknown, given["data"], given["p"], given["y"]))
-            distances.append(sign * (reached - predicted))
-            met = ca.logic_and(size < q.tolerance**2, slack < MET)
-            ok = ca.logic_and(ok, ca.logic_and(met, ca.fabs(reached) < HUGE))
+        # Each way from the prediction first, then from where the other way ended: a local solution is not always the furthest.
+        own = {**given, "lower": old[0], "upper": old[1], "mask": W * (newest < place * ny)}
+        ends, furthest, ok = [at, at], [ca.MX(0), ca.MX(0)], wanted
+        for turn in range(2):
+            starts, ends = ends, []
+            for way, sign in enumerate((1.0, -1.0)):
+                own["w"] = sign * mine
+                V, Z, unknown, size, _, _, slack, _ = solve(
+                    wanted, *starts[1 - way], q.tolerance, q.iteration_limit, *[own[name] for name in problem_3.given]
+                )
+                reached = sign * (ca.dot(mine, here(V, Z, unknown, given["data"], given["p"], given["y"])) - predicted)
+                met = ca.logic_and(ca.logic_and(size < q.tolerance**2, slack < MET), ca.fabs(reached) < HUGE)
+                furthest[way] = ca.fmax(furthest[way], ca.if_else(met, reached, 0))
+                ends.append([ca.if_else(met, there, from_) for there, from_ in zip((V, Z, unknown), at, strict=True)])
+                if turn == 0:
+                    ok = ca.logic_and(ok, met)
+        distances = furthest
         radius = ca.fmax(*distances) + q.bound_margin * scale[i]
         sigma1, sigma2 = (
             ca.fmax(y[i] - b[i], predicted + y[i] - radius),
