@@ -59,6 +59,12 @@ def right_solve(LU: ca.SX, b: ca.SX) -> ca.SX:
 
 def qr_solve(A: ca.SX, b: ca.SX) -> ca.SX:
     """A^-1 b by Givens rotations, stable for every regular A (n x n); b (n x m)."""
+    R, rotated = givens(A, b)
+    return backward(R, rotated)
+
+
+def givens(A: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(R, Q'b) of A = Q R (n x n) by Givens rotations, so that det A is the product of R's diagonal; b (n x m)."""
     n = A.shape[0]
     rows = [ca.densify(ca.horzcat(A[i, :], b[i, :])) for i in range(n)]
     for j in range(n):
@@ -69,7 +75,7 @@ def qr_solve(A: ca.SX, b: ca.SX) -> ca.SX:
             s = ca.if_else(regular, rows[i][j] / radius, 0)
             rows[j], rows[i] = c * rows[j] + s * rows[i], c * rows[i] - s * rows[j]
     R = ca.vertcat(*rows)
-    return backward(R[:, :n], R[:, n:])
+    return R[:, :n], R[:, n:]
 
 
 def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
