@@ -162,6 +162,10 @@ class Component:
                     f"component '{self.name}': {name} maps sizes {found} to {function.numel_out(0)}, "
                     f"the ports ask for {arguments} to {result}"
                 )
+        if self.failures and z < 3:
+            raise ValueError(
+                f"component '{self.name}': failures take the last three of the state's entries, it has {z}"
+            )
 
     def __str__(self) -> str:
         def row(label: str, ports: Sequence[Port]) -> str:

@@ -15,6 +15,11 @@ from observers.numerics.semilinear import split
 from reference_models.motion import consistent, move
 
 NEVER = 1e30  # a jump time beyond any run
+_ALGEBRAIC = (
+    "The algebraic equations are solved by Newton's method at every stage, from the last solution; the first one is that near "
+    "start.*. Where that branch of solutions ends, within a step or two of the method, the step is an error that names the "
+    "variable, the time and the smallest pivot of dg/dz. Shorter steps come nearer to the end. "
+)
 
 
 def plant(
@@ -121,7 +126,7 @@ def plant(
     moved = move(model, x, algebraic, failure, [u, known, theta], t, h)
     x_start = ca.vertcat(*[p[port.name] for port in starts])
     z_guess = ca.vertcat(*[p[port.name] for port in guesses])
-    u_start = ca.DM([v.start for v in model.inputs])
+    u_start = ca.SX(ca.DM([v.start for v in model.inputs]))
     z_start, first_failure = consistent(model, x_start, z_guess, [u_start, known, unknown(t)], t)
     z_now, _ = consistent(model, x, algebraic, [u, known, unknown(t)], t)  # an input set since the last step acts on it
     outputs = [
@@ -160,8 +165,8 @@ def plant(
         step_size=step_size,
         documentation=(
             f"<p>The model {model.name} as a plant, integrated with Dormand and Prince's eighth-order method in steps of at most "
-            f"{longest:g} s. Measurement noise is made inside the plant by a Lehmer generator that gives the same sequence in every "
-            "tool: y at the k-th sample instant carries the k-th draw.</p>"
+            f"{longest:g} s. {_ALGEBRAIC if nz else ''}Measurement noise is made inside the plant by a Lehmer generator that "
+            "gives the same sequence in every tool: y at the k-th sample instant carries the k-th draw.</p>"
         ),
     )
 
