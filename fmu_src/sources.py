@@ -91,6 +91,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
     named = isinstance(component.sample_time, str)
     breaks = [p_index[name] for name in component.breaks]
     counters = [y_index[name] for name in component.counters]
+    failures = [f"{{{json.dumps(failure.what)}, {json.dumps(failure.measure)}}}" for failure in component.failures]
     fields = {
         "name": json.dumps(component.name),
         "guid": json.dumps(guid),
@@ -108,6 +109,8 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "n_breaks": len(breaks),
         "counters": "counters" if counters else "NULL",
         "n_counters": len(counters),
+        "failures": "failures" if component.failures else "NULL",
+        "n_failures": len(component.failures),
         "start": "start",
         "flow": "flow",
         "jump": "jump" if component.jump is not None else "NULL",
@@ -131,6 +134,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "};",
         *([f"static const size_t breaks[] = {{{', '.join(map(str, breaks))}}};"] if breaks else []),
         *([f"static const size_t counters[] = {{{', '.join(map(str, counters))}}};"] if counters else []),
+        *([f"static const Failure failures[] = {{{', '.join(failures)}}};"] if failures else []),
         "",
         "const Component component = {",
         *[f"    .{name} = {value}," for name, value in fields.items()],

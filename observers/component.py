@@ -57,6 +57,14 @@ def bounds(port: Port) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
+class Failure:
+    """Why a motion cannot go on: `what` happened, and the name of the `measure` that tells."""
+
+    what: str
+    measure: str
+
+
+@dataclass(frozen=True)
 class Component:
     """A hybrid system with named ports; see the module's docstring for the functions' signatures.
 
@@ -67,6 +75,8 @@ class Component:
         max_step: the longest h that `flow` is called with [s].
         stop_time, step_size: the default experiment [s].
         counters: outputs that count troubles; a rise is worth a warning.
+        failures: why the motion can end, by code from 1. A component that has some keeps (code, time, measure) in the last three
+            entries of z, code 0 while all is well; a start or a step that ends with another code is an error that says so.
         documentation: the component's method and limits, as HTML paragraphs for the FMU's documentation page.
 
     Raises:
@@ -91,6 +101,7 @@ class Component:
     stop_time: float = 10.0
     step_size: float = 0.01
     counters: tuple[str, ...] = ()
+    failures: tuple[Failure, ...] = ()
     documentation: str = ""
     functions: dict[str, ca.Function] = field(init=False, repr=False, compare=False)
 
@@ -151,6 +162,10 @@ class Component:
                     f"component '{self.name}': {name} maps sizes {found} to {function.numel_out(0)}, "
                     f"the ports ask for {arguments} to {result}"
                 )
+        if self.failures and z < 3:
+            raise ValueError(
+                f"component '{self.name}': failures take the last three of the state's entries, it has {z}"
+            )
 
     def __str__(self) -> str:
         def row(label: str, ports: Sequence[Port]) -> str:

@@ -62,6 +62,8 @@ class Instance:
         self.t0 = self.time = t0
         self.ticks = 0
         self.z = self._call("start", self.p, t0)
+        if failure := self._failure(self.z):
+            raise ValueError(f"{failure}, for the start values")
         if not np.all(np.isfinite(self.z)):
             raise ValueError(f"{component.name}: the start values give no finite state at t = {t0:g}")
 
@@ -96,7 +98,8 @@ class Instance:
 
         Raises:
             ValueError: t is not the current time, h is not positive or exceeds the sample time of a component that samples
-                its inputs, t is so large that doubles cannot tell sample instants apart, or the state would not be finite.
+                its inputs, t is so large that doubles cannot tell sample instants apart, the state would not be finite, or
+                the component's motion cannot go on.
                 The instance is then unchanged.
         """
         component, ts = self.component, self.sample_time
@@ -134,17 +137,28 @@ class Instance:
             now = until
             if not due and until == end:
                 break
-        if not np.all(np.isfinite(z)):
+        failure = self._failure(z)
+        if failure or not np.all(np.isfinite(z)):
             bad = [
                 f", where the input {n} is {self.u[i]:g}"
                 for n, i in self._u_index.items()
                 if not np.isfinite(self.u[i])
             ]
             cause = bad[0] if bad else ""
+            if failure and not cause:
+                raise ValueError(failure)
             raise ValueError(
                 f"{component.name}: the state is not finite after the step from t = {t:g} to {t + h:g}{cause}"
             )
         self.time, self.z, self.ticks = end, z, ticks
+
+    def _failure(self, z: np.ndarray) -> str:
+        """What the component says of a motion that could not go on; empty where it could."""
+        failures = self.component.failures
+        if not failures or z[-3] == 0:
+            return ""
+        failure, time, measure = failures[int(z[-3]) - 1], z[-2], z[-1]
+        return f"{self.component.name}: {failure.what} at t = {time:.10g}, where {failure.measure} is {measure:.4g}"
 
     def _flow(self, z: np.ndarray, start: float, end: float) -> np.ndarray:
         substeps = max(1, math.ceil((end - start) / self.component.max_step - SNAP))

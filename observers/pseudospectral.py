@@ -135,15 +135,15 @@ def pseudospectral(
 
     motion = algebraic.motion(eq)
     moved = runge_kutta(lambda x, time: motion(x, known, q.model, s.theta, time, s.z)[0], s.x, t, h)
-    moved_z = motion(moved, known, q.model, s.theta, t + h, s.z)[1]
-    sound = ca.sumsqr(ca.vertcat(moved, moved_z)) < HUGE
+    moved_z, lost = algebraic.followed(eq, [v.nominal for v in model.algebraic])(moved, s.z, known, q.model, s.theta, t + h)
+    sound = ca.logic_and(ca.sumsqr(ca.vertcat(moved, moved_z)) < HUGE, ca.logic_not(lost))
     after = {
         "x": ca.if_else(sound, moved, q.guess_x),
         "z": ca.if_else(sound, moved_z, q.guess_z),
         "theta": ca.if_else(sound, s.theta, q.guess_theta),
         "input_integral": s.input_integral + h * lift(known, q.model),
         "fresh": ca.if_else(sound, s.fresh, moving_horizon.AT_GUESS),
-        "status": ca.if_else(sound, s.status, CODE.solver_failed),
+        "status": ca.if_else(sound, s.status, ca.if_else(lost, CODE.singular, CODE.solver_failed)),
         "failures": s.failures + ca.logic_not(sound),
     }
     start = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {

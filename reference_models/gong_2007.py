@@ -1,4 +1,4 @@
-"""The experiments of Gong, Ross & Kang, "A pseudospectral observer for nonlinear systems", 2007: Examples 1 to 5."""
+"""The experiments of Gong, Ross & Kang, "A pseudospectral observer for nonlinear systems", 2007: Examples 1 to 6."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from observers.ukf import ukf
 from reference_models.duffing import DUFFING, DUFFING_KNOWN
 from reference_models.plant import plant
 from reference_models.recipe import Recipe, Source
+from reference_models.rlc import RLC
 from reference_models.sine import sine
 
 # The paper's first guess (0, 0, 0.1), of a plant that starts at (2, 1, 0.4).
@@ -20,6 +21,12 @@ GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
 @cache
 def duffing() -> Component:
     return plant(DUFFING, jumps={"theta": 2})
+
+
+@cache
+def rlc() -> Component:
+    """Ends before the trajectory from its start values reaches the singularity at 4.095 s."""
+    return plant(RLC, max_step=1e-3, stop_time=4.0, step_size=0.05)
 
 
 FMUS: dict[str, Source] = {
@@ -63,6 +70,7 @@ FMUS: dict[str, Source] = {
         ),
         duffing,
     ),
+    "rlc": (rlc, None),
     "sine": (sine, None),
 }
 

@@ -7,13 +7,19 @@ from dataclasses import replace
 
 import casadi as ca
 
-from observers.component import Component, Port
+from observers.component import Component, Failure, Port
 from observers.model import Model, Variable, refuse
 from observers.numerics import noise
-from observers.numerics.runge_kutta import runge_kutta, stable_step
+from observers.numerics.runge_kutta import stable_step
 from observers.numerics.semilinear import split
+from reference_models.motion import consistent, move
 
 NEVER = 1e30  # a jump time beyond any run
+_ALGEBRAIC = (
+    "The algebraic equations are solved by Newton's method at every stage, from the last solution; the first one is that near "
+    "start.*. Where that branch of solutions ends, within a step or two of the method, the step is an error that names the "
+    "variable, the time and the smallest pivot of dg/dz. Shorter steps come nearer to the end. "
+)
 
 
 def plant(
@@ -26,11 +32,11 @@ def plant(
 ) -> Component:
     """The component that behaves as `model` does.
 
-    States are outputs `x.<state>`, unknown parameters outputs `x.<name>` too (their true value now). Parameters: `start.<state>`,
+    States are outputs `x.<state>`, algebraic variables `z.<name>`, unknown parameters `x.<name>` (their true value now). Parameters:
+    `start.<state>`, `start.<algebraic variable>` (a guess: the solution near it is taken, and its branch followed until it ends),
     `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
     `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform),
-    `sensor.noise_std`
-    (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
+    `sensor.noise_std` (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
 
     Args:
         jumps: how many jumps of which unknown parameters.
@@ -38,9 +44,9 @@ def plant(
         stop_time, step_size: the default experiment [s].
 
     Raises:
-        ModelError: algebraic variables or unknown disturbances; a jump of a parameter that is not unknown.
+        ModelError: unknown disturbances; a jump of a parameter that is not unknown.
     """
-    refuse(model, "plant", "algebraic", "unknown_disturbances")
+    refuse(model, "plant", "unknown_disturbances")
     jumps = dict(jumps or {})
     for name in jumps:
         if name not in {v.name for v in model.unknown_parameters}:
@@ -48,6 +54,10 @@ def plant(
 
     starts = [
         _port(f"start.{v.name}", v, "fixed", f"start value of the {v.description or v.name}") for v in model.states
+    ]
+    guesses = [
+        _port(f"start.{v.name}", v, "fixed", f"guess of the start value of the {v.description or v.name}")
+        for v in model.algebraic
     ]
     constants = [_port(f"model.{v.name}", v, "tunable") for v in model.parameters]
     unknowns = [_port(f"model.{v.name}", v, "tunable") for v in model.unknown_parameters]
@@ -80,19 +90,19 @@ def plant(
         Port("sensor.seed", "seed of the noise", min=0, max=noise.LARGEST_SEED, kind="Integer", variability="fixed"),
         Port("sensor.sample_time", "sample time of the noise; 0: clean measurement", "s", min=0.0, variability="fixed"),
     ]
-    parameters = (*starts, *constants, *unknowns, *jump_ports, *sensor)
+    parameters = (*starts, *guesses, *constants, *unknowns, *jump_ports, *sensor)
 
     p = {port.name: ca.SX.sym(port.name) for port in parameters}
     p_all = ca.vertcat(*p.values())
-    nx, ny = len(model.states), len(model.outputs)
+    nx, ny, nz = len(model.states), len(model.outputs), len(model.algebraic)
     x, u, t, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(model.inputs)), ca.SX.sym("t"), ca.SX.sym("h")
     noise_now, stream = ca.SX.sym("noise", ny), ca.SX.sym("stream", 2)
-    z = ca.vertcat(x, noise_now, stream)
+    algebraic, failure = ca.SX.sym("z", nz), ca.SX.sym("failure", 3 if nz else 0)
+    z = ca.vertcat(x, algebraic, noise_now, stream, failure)
     eq = model.equations
     known = ca.vertcat(*[p[f"model.{q.name}"] for q in model.parameters])
     longest = stable_step(split(eq.ode, eq.x, eq.u).A, max_step)
-    rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
-    measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.output])
+    measure = ca.Function("measure", [eq.x, eq.z, eq.u, eq.p, eq.theta, eq.t], [eq.output])
 
     def unknown(time: ca.SX) -> ca.SX:
         """The unknown parameters at `time`: piecewise constant, the new value for time > jump time."""
@@ -113,21 +123,30 @@ def plant(
     first_stream, first_noise = drawn(noise.start(p["sensor.seed"]))
     next_stream, next_noise = drawn(stream)
     theta = unknown(t + h / 2)  # constant over the substep, which the shell cuts at the jumps
-    moved = runge_kutta(lambda state, time: rhs(state, u, known, theta, time), x, t, h)
+    moved = move(model, x, algebraic, failure, [u, known, theta], t, h)
     x_start = ca.vertcat(*[p[port.name] for port in starts])
+    z_guess = ca.vertcat(*[p[port.name] for port in guesses])
+    u_start = ca.SX(ca.DM([v.start for v in model.inputs]))
+    z_start, first_failure = consistent(model, x_start, z_guess, [u_start, known, unknown(t)], t)
+    z_now, _ = consistent(model, x, algebraic, [u, known, unknown(t)], t)  # an input set since the last step acts on it
     outputs = [
         *[_port(w.name, w, "continuous") for w in model.outputs],
         *[_port(f"x.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.states],
+        *[_port(f"z.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.algebraic],
         *[_port(f"x.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.unknown_parameters],
     ]
     return Component(
         name=model.name,
         description=model.description or f"plant {model.name}",
-        start=ca.Function("start", [p_all, t], [ca.vertcat(x_start, first_noise, first_stream)]),
-        flow=ca.Function("flow", [z, u, p_all, t, h], [ca.vertcat(moved, noise_now, stream)]),
-        jump=ca.Function("jump", [z, u, p_all, t], [ca.vertcat(x, next_noise, next_stream)]),
+        start=ca.Function(
+            "start", [p_all, t], [ca.vertcat(x_start, z_start, first_noise, first_stream, first_failure)]
+        ),
+        flow=ca.Function("flow", [z, u, p_all, t, h], [ca.vertcat(*moved[:2], noise_now, stream, moved[2])]),
+        jump=ca.Function("jump", [z, u, p_all, t], [ca.vertcat(x, algebraic, next_noise, next_stream, failure)]),
         output=ca.Function(
-            "output", [z, u, p_all, t], [ca.vertcat(measure(x, u, known, unknown(t), t) + noise_now, x, unknown(t))]
+            "output",
+            [z, u, p_all, t],
+            [ca.vertcat(measure(x, z_now, u, known, unknown(t), t) + noise_now, x, z_now, unknown(t))],
         ),
         inputs=tuple(_port(w.name, w, "continuous") for w in model.inputs),
         parameters=parameters,
@@ -135,12 +154,19 @@ def plant(
         sample_time="sensor.sample_time",
         breaks=tuple(port.name for port in jump_ports if port.name.split("[")[0].endswith("_jump_time")),
         max_step=longest,
+        failures=tuple(
+            Failure(
+                f"the algebraic equations do not determine '{v.name}' (singular, or no solution nearby)",
+                "the smallest pivot of dg/dz",
+            )
+            for v in model.algebraic
+        ),
         stop_time=stop_time,
         step_size=step_size,
         documentation=(
             f"<p>The model {model.name} as a plant, integrated with Dormand and Prince's eighth-order method in steps of at most "
-            f"{longest:g} s. Measurement noise is made inside the plant by a Lehmer generator that gives the same sequence in every "
-            "tool: y at the k-th sample instant carries the k-th draw.</p>"
+            f"{longest:g} s. {_ALGEBRAIC if nz else ''}Measurement noise is made inside the plant by a Lehmer generator that "
+            "gives the same sequence in every tool: y at the k-th sample instant carries the k-th draw.</p>"
         ),
     )
 

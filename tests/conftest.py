@@ -17,7 +17,7 @@ from fmpy.fmi2 import (
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
 )
-from toys import feedthrough_toy, growing_toy, sampled_toy
+from toys import draining_toy, feedthrough_toy, growing_toy, sampled_toy
 
 from build_fmus import build, choose
 from cosim.master import run
@@ -25,12 +25,15 @@ from cosim.results import Result
 from fmu_src import export
 from observers.component import Component
 from reference_models.duffing import DUFFING
+from reference_models.gong_2007 import rlc
 from reference_models.plant import plant
 
 COMPONENTS: dict[str, Callable[[], Component]] = {
     "sampled_toy": sampled_toy,
     "feedthrough_toy": feedthrough_toy,
     "growing_toy": growing_toy,
+    "draining_toy": draining_toy,
+    "rlc": rlc,
     "duffing": lambda: plant(DUFFING, jumps={"theta": 2}),
 }
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from toys import growing_toy, sampled_toy
 
-from observers.component import Component, Port
+from observers.component import Component, Failure, Port
 from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from reference_models.sine import sine
 
 
 def counter(sample_time=0.1, **changes) -> Component:
@@ -51,6 +52,11 @@ def counter(sample_time=0.1, **changes) -> Component:
 def test_a_contradictory_component_is_refused_with_the_reason(changes, message):
     with pytest.raises(ValueError, match=message):
         counter(**changes)
+
+
+def test_failures_need_room_in_the_state():
+    with pytest.raises(ValueError, match="failures take the last three of the state's entries, it has 0"):
+        replace(sine(), failures=(Failure("it broke", "force"),))
 
 
 def test_a_function_by_another_name_is_refused():

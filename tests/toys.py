@@ -5,6 +5,8 @@ from __future__ import annotations
 import casadi as ca
 
 from observers.component import Component, Enumeration, Port
+from observers.model import Model, Variable
+from reference_models.plant import plant
 
 STATUS = Enumeration(
     "ToyStatus", (("Good", "the last sample was used"), ("Rejected", "the last sample was not finite"))
@@ -100,3 +102,21 @@ def growing_toy() -> Component:
         stop_time=0.5,
         step_size=0.1,
     )
+
+
+def draining_toy() -> Component:
+    """A tank that drains by Torricelli's law, its outflow an algebraic variable: level (sqrt(start) - t / 2)^2, empty at a singularity.
+
+    Twice the outflow of `head` = level + lift; the equations stand so that dg/dz has a zero on its diagonal.
+    """
+    model = Model(
+        name="draining_toy",
+        states=[Variable("level", start=1.0)],
+        algebraic=[Variable("outflow", start=0.8), Variable("head", start=0.7)],
+        inputs=[Variable("lift")],
+        outputs=[Variable("y")],
+        ode=lambda x, z, u, p, t: [-z.outflow],
+        algebraic_equations=lambda x, z, u, p, t: [z.head - x.level - u.lift, z.outflow**2 - z.head],
+        output=lambda x, z, u, p, t: [z.outflow],
+    )
+    return plant(model, max_step=1e-3, stop_time=1.9)

@@ -18,6 +18,12 @@ typedef struct {
     double start, min, max;
 } Variable;
 
+/* Why a motion cannot go on. */
+typedef struct {
+    const char *what;
+    const char *measure; /* the name of the number that tells */
+} Failure;
+
 typedef struct {
     const char *name;
     const char *guid;
@@ -32,6 +38,8 @@ typedef struct {
     size_t n_breaks;
     const size_t *counters; /* outputs that count troubles, from 0 */
     size_t n_counters;
+    const Failure *failures; /* by code from 1; (code, time, measure) are then the last three states, code 0: none */
+    size_t n_failures;
     Function *start;                    /* (p, t0) -> z */
     Function *flow;                     /* (z, u, p, t, h) -> z */
     Function *jump;                     /* (z, u, p, t) -> z, or NULL */

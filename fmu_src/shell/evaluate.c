@@ -27,6 +27,20 @@ bool all_finite(const double *values, size_t n)
     return !bad;
 }
 
+/* Whether the component says that its motion cannot go on; see component.h. */
+bool has_failed(const double *z)
+{
+    return component.n_failures > 0 && z[component.n_states - 3] != 0;
+}
+
+void report_failure(Instance *self, const double *z, const char *occasion)
+{
+    const double *last = z + component.n_states - 3;
+    const Failure *failure = component.failures + (size_t)last[0] - 1;
+    report(self, fmi2Error, LOG_ERROR, "%s: %s at t = %.10g, where %s is %.4g%s.", component.name, failure->what,
+           last[1], failure->measure, last[2], occasion);
+}
+
 /* The clock and z = start(p, t0), unless they already follow from the parameters. False, with z as it was and a
    message, where start fails or the sample time is impossible. */
 bool refresh_start(Instance *self)
@@ -45,8 +59,12 @@ bool refresh_start(Instance *self)
     self->arg[0] = self->p;
     self->arg[1] = &run->t0;
     self->res[0] = self->scratch[0];
-    if (component.start(self->arg, self->res, self->iw, self->w, 0) != 0 ||
-        !all_finite(self->scratch[0], component.n_states)) {
+    int unevaluated = component.start(self->arg, self->res, self->iw, self->w, 0);
+    if (unevaluated == 0 && has_failed(self->scratch[0])) {
+        report_failure(self, self->scratch[0], ", for the start values");
+        return false;
+    }
+    if (unevaluated != 0 || !all_finite(self->scratch[0], component.n_states)) {
         report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g.", component.name,
                run->t0);
         return false;

@@ -70,5 +70,7 @@ bool refresh_start(Instance *self);
 bool evaluate_outputs(Instance *self, const double *z, double time);
 bool refresh_outputs(Instance *self);
 bool all_finite(const double *values, size_t n);
+bool has_failed(const double *z);
+void report_failure(Instance *self, const double *z, const char *occasion);
 
 #endif

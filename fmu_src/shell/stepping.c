@@ -165,7 +165,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     int64_t ticks = run->ticks;
     if (!advance(self, &pair, end, &ticks))
         return fmi2Error;
-    if (!all_finite(pair.z, component.n_states)) {
+    bool failed = has_failed(pair.z);
+    if (failed || !all_finite(pair.z, component.n_states)) {
         size_t i = 0;
         while (i < component.n_inputs && isfinite(self->u[i]))
             i++;
@@ -173,6 +174,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
             report(self, fmi2Error, LOG_ERROR,
                    "%s: the state is not finite after the step from t = %.15g to %.15g, where the input %s is %g.",
                    component.name, currentCommunicationPoint, end, component.variables[i].name, self->u[i]);
+        else if (failed)
+            report_failure(self, pair.z, "");
         else
             report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.",
                    component.name, currentCommunicationPoint, end);

@@ -6,6 +6,7 @@ import casadi as ca
 
 from observers.numerics import linear
 from observers.numerics.equations import Equations
+from observers.numerics.index_one import algebraic_solver
 
 STEPS = 3  # of Newton's method: what calls it goes on from where they end
 
@@ -28,6 +29,16 @@ def motion(eq: Equations) -> ca.Function:
 def measurement(eq: Equations) -> ca.Function:
     """measurement(x, u, p, theta, t, z0) -> (y, z)."""
     return ca.Function("measurement", *_eliminated(eq, eq.output), {"cse": True})
+
+
+def followed(eq: Equations, nominal: list[float]) -> ca.Function:
+    """followed(x, z, u, p, theta, t) -> (z, lost): z on the branch of a known value nearby, or that there is none any more."""
+    if not eq.z.numel():
+        return ca.Function("followed", [eq.x, eq.z, eq.u, eq.p, eq.theta, eq.t], [eq.z, 0])
+    solver = algebraic_solver(eq, nominal, follow=True)
+    arguments = [ca.SX.sym(solver.name_in(i), solver.size_in(i)) for i in range(solver.n_in())]
+    z, failure, _ = solver(*arguments)
+    return ca.Function("followed", arguments, [z, failure != 0])
 
 
 def _eliminated(eq: Equations, expression: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:

@@ -59,21 +59,14 @@ def right_solve(LU: ca.SX, b: ca.SX) -> ca.SX:
 
 def qr_solve(A: ca.SX, b: ca.SX) -> ca.SX:
     """A^-1 b by Givens rotations, stable for every regular A (n x n); b (n x m)."""
+    R, rotated = givens(A, b)
+    return backward(R, rotated)
+
+
+def givens(A: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(R, Q'b) of A = Q R (n x n) by Givens rotations, so that det A is the product of R's diagonal; b (n x m)."""
     n = A.shape[0]
-    R = _triangular(ca.horzcat(A, b))
-    return backward(R[:, :n], R[:, n:])
-
-
-def pivots(A: ca.SX) -> ca.SX:
-    """|R_ii| (n x 1) of a QR factorisation of A (n x n): the smallest tells how near A is to singular."""
-    R = _triangular(A)
-    return ca.vertcat(*[ca.fabs(R[i, i]) for i in range(A.shape[0])])
-
-
-def _triangular(A: ca.SX) -> ca.SX:
-    """A (n x m), m >= n, with its first n columns made upper triangular by Givens rotations."""
-    n = A.shape[0]
-    rows = [ca.densify(A[i, :]) for i in range(n)]
+    rows = [ca.densify(ca.horzcat(A[i, :], b[i, :])) for i in range(n)]
     for j in range(n):
         for i in range(j + 1, n):
             radius = ca.sqrt(rows[j][j] ** 2 + rows[i][j] ** 2)
@@ -81,7 +74,8 @@ def _triangular(A: ca.SX) -> ca.SX:
             c = ca.if_else(regular, rows[j][j] / radius, 1)
             s = ca.if_else(regular, rows[i][j] / radius, 0)
             rows[j], rows[i] = c * rows[j] + s * rows[i], c * rows[i] - s * rows[j]
-    return ca.vertcat(*rows)
+    R = ca.vertcat(*rows)
+    return R[:, :n], R[:, n:]
 
 
 def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -65,7 +65,8 @@ def pointwise(part: Split, eq: Equations, z_scale: tuple[float, ...] = ()) -> Po
         )
         phi_z = ca.jacobian(phi, z)
         value = [phi, value[1] - ca.mtimes(phi_z, by_x), value[2] - ca.mtimes(phi_z, by_theta)]
-        regularity = ca.mmin(linear.pivots(ca.mtimes(slope, ca.diag(ca.DM(z_scale)))))
+        R, _ = linear.givens(ca.mtimes(slope, ca.diag(ca.DM(z_scale))), ca.SX(z.numel(), 0))
+        regularity = ca.mmin(ca.fabs(ca.diag(R)))
         *value, regularity = ca.substitute([*value, regularity], [z], [solution])
     arguments = [xq, e, eq.p, eq.theta, z0]
     return Pointwise(
