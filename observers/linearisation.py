@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from observers.model import Model, ModelError, Variable
+from observers.numerics.algebraic import solution
 from observers.numerics.semilinear import unreachable
 
 
@@ -57,7 +58,11 @@ class Linearisation:
 def unseen(model: Model) -> list[int]:
     """Indices, in (x, theta), of what no output ever sees, not even through other states."""
     eq = model.equations
-    return unreachable(eq.ode, eq.output, ca.vertcat(eq.x, eq.theta), eq.x)
+    ode, output = eq.ode, eq.output
+    if model.algebraic:
+        z = solution(eq.algebraic, eq.z, ca.SX.sym("z0", eq.z.numel()))
+        ode, output = ca.substitute([ode, output], [eq.z], [z])
+    return unreachable(ode, output, ca.vertcat(eq.x, eq.theta), eq.x)
 
 
 def refuse_unobservable(model: Model, method: str) -> None:
