@@ -186,7 +186,7 @@ def jump(method: Method) -> ca.Function:
     V_new, Z_new, unknown_new, size, cost_after, conditioning, slack, iterations = found
     sound = ca.sumsqr(ca.vertcat(V_new, Z_new, unknown_new)) < HUGE
     converged = ca.logic_and(ca.logic_and(due, sound), size < q.tolerance**2)
-    determined = conditioning > q.conditioning_limit
+    determined = 1 if method.arrival else conditioning > q.conditioning_limit  # what the window leaves open the past decides
     accepted = ca.logic_and(converged, determined)
     failed = ca.logic_and(due, ca.logic_not(converged))
     kept = ca.logic_and(wanted, ca.logic_not(due))

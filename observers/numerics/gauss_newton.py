@@ -74,7 +74,7 @@ def newton_step(solve: Solve) -> ca.Function:
 
     The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the weighted sum of squares that the linearisation predicts
-    after the whole step, `conditioning` in [0, 1] the smallest pivot of the scaled normal matrix over the largest, `slack` by how much
+    after the whole step, `conditioning` in [0, 1] the smallest pivot of the samples' scaled normal matrix over the largest, `slack` by how much
     the rows had to be relaxed, in nominal units.
     """
     problem = solve.problem
@@ -90,6 +90,8 @@ def newton_step(solve: Solve) -> ca.Function:
     if solve.aim:
         normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
     step, conditioning, cost = _free(tuple(problem.scale))(normal, g["lam"])
+    if solve.arrival:
+        conditioning = _free(tuple(problem.scale))(at.normal, g["lam"])[1]
     slack: Any = 0
     if solve.constraints.any:
         # A linear objective goes to and fro between two corners where the edge between them is curved: then the step is kept short.
