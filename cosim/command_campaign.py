@@ -83,8 +83,10 @@ def campaign(
 def _summarise(made: campaigns.Campaign, directory: Path) -> None:
     found, table = summary(made), ConsoleTable(title=made.system, title_justify="left", title_style="bold")
     for head in found.columns:
-        left = head in ("estimate", "unit")
-        table.add_column(head, justify="left" if left else "right", no_wrap=left)
+        if head in ("estimate", "unit"):
+            table.add_column(head, overflow="fold")
+        else:
+            table.add_column(head, justify="right", min_width=8 if head != "run" else 3)
     for row in found.rows:
         table.add_row(*row)
     if succeeded(made):
