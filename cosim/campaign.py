@@ -34,7 +34,8 @@ from cosim.variation import Variations, check, draw
 
 SETTLE = 6.0  # [s]; Gong, Ross & Kang's Example 5 has a window of 5 s
 QUESTION, RUNS, TABLE = "campaign.json", "runs", "runs.csv"
-WAIT_FOR_WORKERS = 30.0  # [s]
+CONNECT_TIMEOUT = 10.0  # [s] for a scheduler to answer
+WORKERS_TIMEOUT = 30.0  # [s] for its first worker to appear
 
 
 @dataclass(frozen=True)
@@ -239,8 +240,8 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             yield stack.enter_context(Client(stack.enter_context(cluster)))
             return
         try:
-            client = stack.enter_context(Client(scheduler))
-            client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS)
+            client = stack.enter_context(Client(scheduler, timeout=CONNECT_TIMEOUT))
+            client.wait_for_workers(1, timeout=WORKERS_TIMEOUT)
         except (OSError, ValueError) as error:
             raise ExperimentError(f"no Dask workers behind the scheduler '{scheduler}': {error}") from None
         yield client

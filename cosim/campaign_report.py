@@ -28,7 +28,7 @@ def succeeded(campaign: Campaign) -> list[Outcome]:
 
 def summary(campaign: Campaign) -> Table:
     """For each estimate the errors over all runs that did not fail: rms, largest, rms where settled, and that of the worst run."""
-    columns = ("estimate", "unit", "rms", "largest", "settled rms", "of the worst run", "run")
+    columns = ("estimate", "unit", "rms", "largest", "settled", "worst", "run")
     done, rows = succeeded(campaign), []
     for pair in campaign.pairs if done else ():
         label = f"({pair.estimate} - {pair.truth})"
@@ -43,9 +43,12 @@ def summary(campaign: Campaign) -> Table:
 
 
 def settled_means(campaign: Campaign) -> str:
-    """A sentence on what counts as settled."""
-    settle = f"{campaign.experiment.settle:g} s"
-    return f"Errors are of the current estimate; settled: more than {settle} after the start and after each jump of a parameter."
+    """What the columns of `summary` mean."""
+    return (
+        "Errors of the current estimate over all runs: rms, largest, and rms of the settled points, which lie more than "
+        f"{campaign.experiment.settle:g} s after the start and after each jump of a parameter; worst: that of the run with the "
+        "largest."
+    )
 
 
 def counts(campaign: Campaign) -> dict[str, int]:

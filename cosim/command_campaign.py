@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as ConsoleTable
 from rich.text import Text
@@ -81,12 +82,17 @@ def campaign(
 
 
 def _summarise(made: campaigns.Campaign, directory: Path) -> None:
-    found, table = summary(made), ConsoleTable(title=made.system, title_justify="left", title_style="bold")
+    found = summary(made)
+    table = ConsoleTable(
+        title=made.system,
+        title_justify="left",
+        title_style="bold",
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
+    )
     for head in found.columns:
-        if head in ("estimate", "unit"):
-            table.add_column(head, overflow="fold")
-        else:
-            table.add_column(head, justify="right", min_width=8 if head != "run" else 3)
+        table.add_column(head, justify="left" if head in ("estimate", "unit") else "right")
     for row in found.rows:
         table.add_row(*row)
     if succeeded(made):
