@@ -48,7 +48,7 @@ class Outcome:
         values: the values of the varied variables.
         failure: why the run failed; "" if it did not. A failed run has no numbers and no rows.
         numbers: errors and counts by column name (see `rate`).
-        time: (m,) [s], m <= ROWS + 1.
+        time: (m,) [s], m <= ROWS.
         truths, estimates: (m, pairs), in the order of `cosim.estimates.pairs`.
     """
 

@@ -123,7 +123,7 @@ def _columns(
     for name in inputs:
         if name not in columns and name not in overrides and not name.startswith(VALID):
             raise ExperimentError(
-                f"{log.path}: there is no column for the input '{name}' ({suggest(name, log.names)}); name one by "
+                f"{log.path}: there is no column for the input '{name}' among {', '.join(log.names)}; name one by "
                 f"--map {name}=COLUMN, or give a constant by --set {name}=VALUE"
             )
         if name in columns and name in overrides:

@@ -290,7 +290,7 @@ def test_the_figure_has_the_averages_over_the_runs(system: Path, whole: Path) ->
     truths = np.array([load(path).truths for path in sorted((whole / "runs").iterdir())])
     curves = {line.get_label(): line.get_ydata() for line in theta.lines}
     np.testing.assert_array_equal(curves["average of the estimates"], estimates[:, :, 2].mean(axis=0))
-    np.testing.assert_array_equal(curves["true"], np.where(np.arange(41) <= 20, 0.4, 0.1))
+    np.testing.assert_allclose(curves["true"], np.where(np.arange(41) <= 20, 0.4, 0.1), rtol=1e-12)
     errors = {line.get_label(): line.get_ydata() for line in x1.lines}
     np.testing.assert_allclose(
         errors["rms error over the runs"], np.sqrt(np.mean((estimates - truths)[:, :, 0] ** 2, axis=0)), rtol=1e-12
@@ -302,5 +302,5 @@ def test_the_figure_has_the_averages_over_the_runs(system: Path, whole: Path) ->
 
 def test_long_runs_keep_a_bounded_number_of_rows_and_rate_all(system: Path, tmp_path: Path) -> None:
     made = campaign(system, tmp_path, runs=1, vary=VARY, step=0.001, workers=1)
-    assert len(made.outcomes[0].time) == ROWS + 1 == len(made.outcomes[0].truths)
+    assert ROWS / 2 < len(made.outcomes[0].time) == len(made.outcomes[0].truths) <= ROWS
     assert sum(n for name, n in made.outcomes[0].numbers.items() if ".status." in name) == 4001
