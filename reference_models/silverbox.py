@@ -24,7 +24,7 @@ SILVERBOX = Model(
     name="silverbox",
     description="Silverbox: electronic circuit that obeys a forced Duffing equation (Wigren & Schoukens 2013)",
     states=[
-        Variable("x1", "output voltage", unit="V", nominal=0.1),
+        Variable("x1", "output voltage", unit="V", start=0.1, nominal=0.1),
         Variable("x2", "rate of the output voltage", unit="V/s", nominal=43.0),  # the circuit oscillates at 430 rad/s
     ],
     inputs=[Variable("u", "input voltage", unit="V", nominal=0.1)],
@@ -45,7 +45,7 @@ SILVERBOX = Model(
 
 @cache
 def silverbox() -> Component:
-    return plant(SILVERBOX, max_step=SAMPLE_TIME, stop_time=5.0, step_size=SAMPLE_TIME)
+    return plant(SILVERBOX, max_step=SAMPLE_TIME, stop_time=0.3, step_size=SAMPLE_TIME)
 
 
 FMUS: dict[str, Source] = {
@@ -57,8 +57,8 @@ FMUS: dict[str, Source] = {
             process_noise={"x1": 1e-3, "x2": 5.0, "k1": 100.0, "k3": 1e4},
             measurement_noise={"y": 1e-3},
             initial_std={"x1": 0.1, "x2": 43.0, "k1": 0.3 * K1, "k3": 0.3 * K3},
-            guess={"k1": OFF * K1, "k3": OFF * K3},
-            stop_time=5.0,
+            guess={"x1": 0.0, "k1": OFF * K1, "k3": OFF * K3},
+            stop_time=0.3,
         ),
         silverbox,
     ),

@@ -92,6 +92,7 @@ def test_the_table_says_of_each_run_what_the_same_run_alone_gives(system: Path, 
     assert row["failure"] == "" and row["non_finite"] == row["observer.diagnostics.solver_failures"] == "0"
 
 
+@pytest.mark.long
 def test_one_and_two_workers_and_a_dask_scheduler_give_the_same_table(
     system: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -257,6 +258,7 @@ def test_a_run_that_fails_is_recorded_with_its_reason_and_the_others_go_on(
     assert page.count("element &#x27;growing&#x27;") == len(failed) and "<svg" in page
 
 
+@pytest.mark.long
 def test_an_fmu_that_crashes_its_process_is_a_failed_run(system: Path, built: Build, tmp_path: Path) -> None:
     crashing = read_ssp(system, tmp_path)
     crashing.elements["crashing"] = Element(_crashing(built("growing_toy"), tmp_path / "crashing.fmu"))  # type: ignore[index]

@@ -72,6 +72,7 @@ def test_the_evaluation_is_exact_on_exact_estimates_and_sees_wrong_ones() -> Non
     assert wrong.prediction_rms > 1e-3
 
 
+@pytest.mark.long
 def test_the_filter_finds_the_stiffness_in_the_measurement_30_percent_off(
     measured: tuple[np.ndarray, np.ndarray], tmp_path: Path
 ) -> None:
