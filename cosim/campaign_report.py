@@ -83,7 +83,7 @@ def figure(campaign: Campaign) -> Figure:
         truth = np.array([outcome.truths[:, i] for outcome in done])
         estimate = np.array([outcome.estimates[:, i] for outcome in done])
         if pair.truth in campaign.experiment.parameters:
-            _draw_average(axis, done[0].time, truth, estimate)
+            _draw_average(axis, done[0].time, truth, estimate, campaign.experiment.settle)
         else:
             _draw_error(axis, done[0].time, np.abs(estimate - truth))
         axis.set_ylabel(_label(campaign, pair))
@@ -94,11 +94,16 @@ def figure(campaign: Campaign) -> Figure:
     return made
 
 
-def _draw_average(axis: Axes, time: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> None:
+def _draw_average(axis: Axes, time: np.ndarray, truth: np.ndarray, estimate: np.ndarray, settle: float) -> None:
+    """The axis fits what comes after `settle`; the first estimates, which may be anywhere, can leave it."""
     low, high = np.quantile(estimate, (0.05, 0.95), axis=0)
     axis.fill_between(time, low, high, color=ESTIMATE, alpha=0.25, linewidth=0, label="90 % of the runs")
     axis.plot(time, truth.mean(axis=0), color=TRUTH, label="true")
     axis.plot(time, estimate.mean(axis=0), "--", color=ESTIMATE, label="average of the estimates")
+    shown = time > time[0] + settle
+    if shown.any():
+        least, most = min(low[shown].min(), truth.min()), max(high[shown].max(), truth.max())
+        axis.set_ylim(least - 0.3 * (most - least), most + 0.6 * (most - least))
 
 
 def _draw_error(axis: Axes, time: np.ndarray, error: np.ndarray) -> None:
