@@ -12,7 +12,9 @@ import hashlib
 import json
 import logging
 import os
+import signal
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
@@ -234,9 +236,10 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         if scheduler is None:
             # A worker holds one run at a time, so that an FMU that crashes takes no other run with it.
             stack.enter_context(dask.config.set({"distributed.scheduler.worker-saturation": 1.0}))
-            cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
-            )
+            with _interrupt_ignored():
+                cluster = LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+                )
             yield stack.enter_context(Client(stack.enter_context(cluster)))
             return
         try:
@@ -245,6 +248,19 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         except (OSError, ValueError) as error:
             raise ExperimentError(f"no Dask workers behind the scheduler '{scheduler}': {error}") from None
         yield client
+
+
+@contextmanager
+def _interrupt_ignored() -> Iterator[None]:
+    """Processes started herein ignore Ctrl-C, which a terminal sends to all: this process alone decides what it means."""
+    if threading.current_thread() is not threading.main_thread():  # the only one that may change it
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 def _write_table(outcomes: list[Outcome], path: Path) -> None:

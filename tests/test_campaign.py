@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from click.testing import Result
 from elftools.elf.elffile import ELFFile
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from cosim import campaign as module
 from cosim.__main__ import app
@@ -99,7 +98,7 @@ def test_one_and_two_workers_and_a_dask_scheduler_give_the_same_table(
     campaign(system, tmp_path / "two", runs=30, vary=VARY, settle=1.0, workers=2)
     assert (tmp_path / "two" / "runs.csv").read_bytes() == (whole / "runs.csv").read_bytes()
     # A worker with two threads in one process: fmpy changes the process's working directory while it loads an FMU.
-    with module.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster:
+    with module.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0") as cluster:
         campaign(system, tmp_path / "cluster", runs=30, vary=VARY, settle=1.0, scheduler=cluster.scheduler_address)
     assert (tmp_path / "cluster" / "runs.csv").read_bytes() == (whole / "runs.csv").read_bytes()
 

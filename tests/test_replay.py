@@ -10,9 +10,8 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from click.testing import Result
 from toys import sampled_toy
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from cosim.__main__ import app
 from cosim.log import read_log
