@@ -101,7 +101,7 @@ def campaign(
     """
     system, out = Path(system).resolve(), Path(out).resolve()
     overrides = overrides or {}
-    for what, value, least in (("runs", runs, 1), ("seed", seed, 0), ("workers", workers or 1, 1)):
+    for what, value, least in (("runs", runs, 1), ("seed", seed, 0), ("workers", 1 if workers is None else workers, 1)):
         if value < least:
             raise ExperimentError(f"{what} = {value} must be at least {least}")
     if not settle >= 0:

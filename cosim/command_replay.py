@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import numpy as np
 import typer
@@ -67,7 +67,7 @@ def replay(
     except (SystemFileError, ExperimentError) as error:
         fail(str(error), 2)
     except RunError as error:
-        fail(str(error), 1)
+        _keep_partial(error, directory)
     facts = _facts(made)
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -82,6 +82,19 @@ def replay(
         out.print(Text(fact), soft_wrap=True)
     for file in ("estimates.csv", "report.html"):
         out.print(Text(str(directory / file)), soft_wrap=True)
+
+
+def _keep_partial(error: RunError, directory: Path) -> NoReturn:
+    """End with the reason why the FMU failed, and the rows up to there in estimates.csv."""
+    if error.partial is None or not len(error.partial.time):
+        fail(str(error), 1)
+    table = directory / "estimates.csv"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        write_csv(error.partial, table)
+    except OSError as problem:
+        fail(f"{error}; cannot write to {directory}: {problem.strerror or problem}", 2)
+    fail(f"{error} (the record up to there is in {table})", 1)
 
 
 def _facts(made: replays.Replay) -> list[str]:

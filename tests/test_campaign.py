@@ -191,6 +191,7 @@ def test_another_ssp_file_of_the_same_name_in_the_same_folder_is_refused(
         (("--vary", "plant.sensor.seed", "--vary", "plant.sensor.seed"), "'plant.sensor.seed' is varied twice"),
         (("--vary", "plant.sensor.seed", "--set", "plant.sensor.sede=3"), "did you mean 'sensor.seed'"),
         (("--vary", "plant.sensor.seed", "--runs", 0), "runs = 0 must be at least 1"),
+        (("--vary", "plant.sensor.seed", "--workers", 0), "workers = 0 must be at least 1"),
         (("--vary", "plant.sensor.seed", "--seed", -1), "seed = -1 must be at least 0"),
         (("--vary", "plant.sensor.seed", "--stop", 0.25), "stop time 0.25 is not a multiple of the step size 0.1"),
         (("--vary", "plant.sensor.seed", "--settle", -1), "settle = -1 s must not be negative"),

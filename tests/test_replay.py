@@ -239,3 +239,11 @@ def test_outputs_that_depend_on_an_input_directly_are_of_the_same_instant(built:
     log = written(tmp_path / "log.csv", np.arange(4) * 0.01, position=np.array([1.0, 2.0, 3.0, 4.0]))
     made = replay(built("feedthrough_toy"), log)
     np.testing.assert_array_equal(made.result["observer.force"][:-1], [-2, -4, -6, -8])
+
+
+def test_an_fmu_that_fails_is_one_line_and_status_1_and_keeps_the_record(built: Build, tmp_path: Path) -> None:
+    log = written(tmp_path / "log.csv", np.arange(4) * 0.1, y=np.ones(4), rate=np.array([0.0, 0.0, np.inf, 0.0]))
+    result = cosim("replay", built("sampled_toy"), log, "--out", tmp_path / "out")
+    assert result.exit_code == 1 and "Traceback" not in result.output
+    assert "element 'observer' at t = 0.2" in result.stderr and "estimates.csv" in result.stderr
+    assert len(read_csv(tmp_path / "out" / "estimates.csv")["time"]) == 3
