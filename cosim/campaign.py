@@ -25,7 +25,7 @@ import dask
 from distributed import Client, KilledWorker, LocalCluster, as_completed, get_worker
 from distributed.diagnostics.plugin import UploadFile
 
-from cosim.campaign_run import Experiment, Outcome, failed, load, perform, save
+from cosim.campaign_run import SETTLE, Experiment, Outcome, failed, load, perform, save
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.estimates import Pair, paired
 from cosim.fmu import Value, unit_of
@@ -34,7 +34,6 @@ from cosim.ssp_reader import read_ssp
 from cosim.system import ResolvedSystem, find_variable, resolve
 from cosim.variation import Variations, check, draw
 
-SETTLE = 6.0  # [s]; Gong, Ross & Kang's Example 5 has a window of 5 s
 QUESTION, RUNS, TABLE = "campaign.json", "runs", "runs.csv"
 CONNECT_TIMEOUT = 10.0  # [s] for a scheduler to answer
 WORKERS_TIMEOUT = 30.0  # [s] for its first worker to appear

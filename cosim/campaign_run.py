@@ -17,6 +17,7 @@ from cosim.master import run
 from cosim.results import Result
 from cosim.slave import RunError
 
+SETTLE = 6.0  # [s]; Gong, Ross & Kang's Example 5 has a window of 5 s
 ROWS = 2000  # of the trajectories that are kept of a run, at most
 COUNTERS = ("diagnostics.solver_failures", "diagnostics.rejected_samples")
 

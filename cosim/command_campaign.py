@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -11,11 +11,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from cosim import campaign as campaigns
-from cosim.campaign_report import FIGURE, counts, settled_means, succeeded, summary, write_campaign_report
+from cosim.campaign_run import SETTLE
 from cosim.console import Assignments, err, fail, out, split_assignments
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.variation import parse
+
+if TYPE_CHECKING:
+    from cosim.campaign import Campaign
 
 
 def campaign(
@@ -40,7 +42,7 @@ def campaign(
     settle: Annotated[
         float,
         typer.Option(help="Seconds after the start and each jump of a true parameter that do not count as settled."),
-    ] = campaigns.SETTLE,
+    ] = SETTLE,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="A Dask scheduler.", show_default="processes on this machine"),
@@ -53,12 +55,16 @@ def campaign(
 
     A campaign that was stopped goes on where it was when the same command is given again.
     """
+    # Dask takes longer to load than a run takes: only this command waits for it.
+    from cosim.campaign import campaign as perform
+    from cosim.campaign_report import write_campaign_report
+
     directory = out_directory or Path("results") / f"{system.stem}_campaign"
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as display:
             task = display.add_task("runs", total=runs)
-            made = campaigns.campaign(
+            made = perform(
                 system,
                 directory,
                 runs=runs,
@@ -81,7 +87,10 @@ def campaign(
     _summarise(made, directory)
 
 
-def _summarise(made: campaigns.Campaign, directory: Path) -> None:
+def _summarise(made: Campaign, directory: Path) -> None:
+    from cosim.campaign import TABLE
+    from cosim.campaign_report import FIGURE, counts, settled_means, succeeded, summary
+
     found = summary(made)
     table = ConsoleTable(
         title=made.system,
@@ -99,7 +108,7 @@ def _summarise(made: campaigns.Campaign, directory: Path) -> None:
         out.print(table)
         out.print(settled_means(made), soft_wrap=True)
     out.print(", ".join(f"{number} {label}" for label, number in counts(made).items()), soft_wrap=True)
-    for file in (campaigns.TABLE, *((FIGURE,) if succeeded(made) else ()), "report.html"):
+    for file in (TABLE, *((FIGURE,) if succeeded(made) else ()), "report.html"):
         out.print(Text(str(directory / file)), soft_wrap=True)
     failures = [outcome for outcome in made.outcomes if outcome.failure]
     if failures:

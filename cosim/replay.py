@@ -12,7 +12,7 @@ from fmpy.model_description import ModelDescription, ModelVariable
 from cosim.errors import ExperimentError, suggest
 from cosim.fmu import Value, read_description, typed_value
 from cosim.log import Log, read_log
-from cosim.master import MOST_STEPS, run
+from cosim.master import run
 from cosim.results import Result
 from cosim.sampling import Sampling, sampling, times
 from cosim.system import Element, System
@@ -82,8 +82,6 @@ def replay(
     inputs = {v.name: v for v in description.modelVariables if v.causality == "input" and v.type != "String"}
     columns = _columns(recorded, inputs, mapping or {}, overrides)
     taken = sampling(recorded, times(recorded, sample_time), _sample_time(description, overrides))
-    if len(taken.rows) > MOST_STEPS:
-        raise ExperimentError(f"{log}: {len(taken.rows)} samples are more than {MOST_STEPS}")
     signals = {name: _signal(recorded, inputs[name], column, taken.rows, inputs) for name, column in columns.items()}
     system = System(
         f"{fmu.stem} over {log.name}",

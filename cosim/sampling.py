@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.errors import ExperimentError
 from cosim.log import Log
+from cosim.master import MOST_STEPS
 
 COARSER = 1.01  # times the sample time: a log with a longer interval between its rows (median) leaves samples out
 RESOLUTION = 1e-7  # of the sample time, that the doubles of the time column must resolve
@@ -59,7 +60,7 @@ def sampling(log: Log, time: np.ndarray, sample_time: float) -> Sampling:
     """The rows of `log`, recorded at `time`, that an FMU takes which samples every `sample_time` [s].
 
     Raises:
-        ExperimentError: the log is coarser than the sample time, or its times too large to resolve it.
+        ExperimentError: the log is coarser than the sample time, longer than MOST_STEPS, or its times too large to resolve it.
     """
     if np.spacing(np.abs(time).max()) > RESOLUTION * sample_time:
         raise ExperimentError(
@@ -70,6 +71,8 @@ def sampling(log: Log, time: np.ndarray, sample_time: float) -> Sampling:
         raise ExperimentError(
             f"{log.path} is recorded every {np.median(np.diff(time)):g} s (median), but the FMU samples every {sample_time:g} s"
         )
+    if (time[-1] - time[0]) / sample_time > MOST_STEPS:
+        raise ExperimentError(f"{log.path}: more than {MOST_STEPS} samples of {sample_time:g} s")
     instants = np.rint((time - time[0]) / sample_time).astype(np.int64)
     offsets = time - (time[0] + instants * sample_time)
     rows = np.full(instants[-1] + 1, -1)

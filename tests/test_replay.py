@@ -209,6 +209,7 @@ def test_the_sample_time_is_the_fmus_parameter_where_it_has_one(tmp_path: Path, 
         ("time,y,rate\n", (), "at least one line of values"),
         ("", (), "at least one line of values"),
         ("time,y,rate\n1.7e9,1,0\n1700000000.1,1,0\n", (), "too coarse in double precision for a sample time of 0.1 s"),
+        ("time,y,rate\n0,1,0\n0.1,1,0\n0.2,1,0\n2e7,1,0\n", (), "more than 100000000 samples of 0.1 s"),
         ("time,y,rate\n0,1,0\n1,1,0\n", (), "recorded every 1 s (median), but the FMU samples every 0.1 s"),
     ],
 )
