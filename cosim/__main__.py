@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
+from cosim.command_campaign import campaign
+from cosim.command_replay import replay
+from cosim.console import Assignments, fail, late_progress, out, split_assignments
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.estimates import pairs
 from cosim.master import run as run_system
@@ -22,16 +20,15 @@ from cosim.report import Table, write_report
 from cosim.results import Result, write_csv
 from cosim.slave import RunError
 
-SHOW_PROGRESS_AFTER = 1.5  # [s]
-
 app = typer.Typer(
     help="Run systems of FMUs (.ssp files, SSP 1.0 with FMI 2.0 co-simulation FMUs).",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-out = Console()
-err = Console(stderr=True)
+
+app.command("campaign")(campaign)
+app.command("replay")(replay)
 
 
 @app.callback()
@@ -46,14 +43,7 @@ def run(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Where the files go.", show_default="results/<name of the file>"),
     ] = None,
-    assignments: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="ELEMENT.VARIABLE=VALUE",
-            help="Start value of a parameter or an unconnected input, such as plant.sensor.seed=7. May be repeated.",
-        ),
-    ] = None,
+    assignments: Assignments = None,
     stop: Annotated[float | None, typer.Option(help="Stop time in seconds.", show_default="the system's")] = None,
     step: Annotated[
         float | None, typer.Option(help="Communication step size in seconds.", show_default="the system's")
@@ -61,16 +51,16 @@ def run(
 ) -> None:
     """Run a system once; write results.csv (all outputs of all FMUs) and report.html (figures)."""
     directory = out_directory or Path("results") / system.stem
-    overrides = _overrides(assignments or [])
+    overrides = split_assignments(assignments)
     try:
-        with _late_progress() as progress:
+        with late_progress() as progress:
             result = run_system(system, stop=stop, step=step, overrides=overrides, progress=progress)
         failure = None
     except (SystemFileError, ExperimentError) as error:
-        _fail(str(error), 2)
+        fail(str(error), 2)
     except RunError as error:
         if error.partial is None or not len(error.partial.time):
-            _fail(str(error), 1)
+            fail(str(error), 1)
         result, failure = error.partial, error
     table = directory / "results.csv"
     try:
@@ -79,45 +69,10 @@ def run(
         if failure is None:
             _write_report(result, directory / "report.html")
     except OSError as error:
-        _fail(f"cannot write to {directory}: {error.strerror or error}", 2)
+        fail(f"cannot write to {directory}: {error.strerror or error}", 2)
     if failure is not None:
-        _fail(f"{failure} (the record up to there is in {table})", 1)
+        fail(f"{failure} (the record up to there is in {table})", 1)
     _summarise(result, directory)
-
-
-def _overrides(assignments: list[str]) -> dict[str, str]:
-    overrides = {}
-    for assignment in assignments:
-        name, equals, value = assignment.partition("=")
-        if not equals or not name.strip() or not value.strip():
-            _fail(f"--set {assignment}: not of the form ELEMENT.VARIABLE=VALUE", 2)
-        overrides[name.strip()] = value.strip()
-    return overrides
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    """End with one red line; `code` is 2 for a user's mistake, 1 for a failed run."""
-    err.print(Text(f"error: {' '.join(message.split())}", style="red"), soft_wrap=True)
-    raise typer.Exit(code)
-
-
-@contextmanager
-def _late_progress() -> Iterator[Callable[[int, int], None]]:
-    """What to call with the steps done and of all: shows a bar once a run takes longer than a moment."""
-    columns = (TextColumn("running"), BarColumn(), TextColumn("{task.percentage:.0f} %"), TimeRemainingColumn())
-    display = Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
-    task = display.add_task("running")
-    begin = time.monotonic()
-
-    def update(done: int, total: int) -> None:
-        display.update(task, completed=done, total=total)
-        if time.monotonic() - begin > SHOW_PROGRESS_AFTER:
-            display.start()  # does nothing when it is shown already
-
-    try:
-        yield update
-    finally:
-        display.stop()
 
 
 def _write_report(result: Result, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,14 +23,19 @@ class Pair(NamedTuple):
 
 
 def pairs(result: Result) -> list[Pair]:
-    """Every estimate with every truth of the same variable, in the order of the estimates."""
+    """Every estimate of `result` with every truth of the same variable, in the order of the estimates."""
+    return paired(result.names)
+
+
+def paired(names: Sequence[str]) -> list[Pair]:
+    """The same among the columns called `names`."""
     truths: dict[str, list[str]] = {}
-    for name in result.names:
+    for name in names:
         _, marker, variable = name.partition(".x.")
         if marker:
             truths.setdefault(variable, []).append(name)
     found: list[Pair] = []
-    for name in result.names:
+    for name in names:
         _, marker, variable = name.partition(".estimate.")
         if marker:
             found.extend(Pair(variable, name, truth) for truth in truths.get(variable, ()))

@@ -20,7 +20,13 @@ TIME = "time [s]"
 def figures(result: Result) -> list[go.Figure]:
     """The figures that the columns of `result` allow, in the order of reading."""
     found = pairs(result)
-    made = [_states(result, found), _errors(result, found)] if found else _outputs(result)
+    estimates = [name for name in result.names if ".estimate." in name]
+    if found:
+        made = [_states(result, found), _errors(result, found)]
+    elif estimates:
+        made = [_estimates(result, estimates)]
+    else:
+        made = _outputs(result)
     made += [_status(result, name) for name in result.names if name.endswith(".status") and name in result.items]
     for last, title, log in (
         (".cost", "Cost of the estimate", True),
@@ -47,6 +53,17 @@ def _states(result: Result, found: list[Pair]) -> go.Figure:
         figure.update_yaxes(title_text=f"{pair.variable}{unit}", row=row, col=1)
     figure.update_xaxes(title_text=TIME, row=len(found), col=1)
     return _finish(figure, "True and estimated values", 130 + ROW * len(found))
+
+
+def _estimates(result: Result, names: list[str]) -> go.Figure:
+    """Estimates whose truth nobody knows."""
+    figure = make_subplots(rows=len(names), cols=1, shared_xaxes=True, vertical_spacing=0.12 / len(names))
+    for row, name in enumerate(names, start=1):
+        line = {"color": ESTIMATE, "width": 1.5}
+        figure.add_trace(_curve(result.time, result[name], name=name, line=line, showlegend=False), row=row, col=1)
+        figure.update_yaxes(title_text=name.partition(".estimate.")[2] + _unit(result, name), row=row, col=1)
+    figure.update_xaxes(title_text=TIME, row=len(names), col=1)
+    return _finish(figure, "Estimated values", 130 + ROW * len(names))
 
 
 def _errors(result: Result, found: list[Pair]) -> go.Figure:

@@ -149,11 +149,15 @@ def _boolean(variable: ModelVariable, value: Value) -> bool:
     raise ValueError(f"'{variable.name}' is a Boolean: '{value}' is neither true nor false")
 
 
-def _check_range(variable: ModelVariable, value: Value) -> None:
+def limits(variable: ModelVariable) -> tuple[float, float]:
+    """[min, max] of a variable, its own or its type's; infinite where it has none."""
     declared = variable.declaredType
     low = variable.min or (declared.min if declared else None)
     high = variable.max or (declared.max if declared else None)
-    least = float(low) if low else -math.inf
-    most = float(high) if high else math.inf
+    return float(low) if low else -math.inf, float(high) if high else math.inf
+
+
+def _check_range(variable: ModelVariable, value: Value) -> None:
+    least, most = limits(variable)
     if value < least or value > most:  # type: ignore[operator]  # a number here; NaN passes, the FMU decides on it
         raise ValueError(f"'{variable.name}' = {value} lies outside [{least:.10g}, {most:.10g}]")

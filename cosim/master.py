@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter_ns
 
+import numpy as np
 from fmpy.fmi2 import fmi2Warning
 
 from cosim.errors import ExperimentError
@@ -20,6 +21,7 @@ from cosim.fmu import Value, typed_value, unpack
 from cosim.record import Access, Record
 from cosim.results import Result
 from cosim.schedule import output_levels
+from cosim.signals import checked, driving
 from cosim.slave import RunError, Slave
 from cosim.ssp_reader import read_ssp
 from cosim.system import ResolvedSystem, System, find_variable, resolve
@@ -35,6 +37,7 @@ def run(
     stop: float | None = None,
     step: float | None = None,
     overrides: Mapping[str, Value] | None = None,
+    inputs: Mapping[str, np.ndarray] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
     """Run a system, given as such or as an .ssp file, from its start time to `stop`.
@@ -45,11 +48,12 @@ def run(
         step: communication step size [s]; default: the system's.
         overrides: start values of parameters and unconnected inputs, `{"plant.sensor.seed": 7}`; text is read as the
             variable's type asks.
+        inputs: values of unconnected inputs at all communication points, the last included, by path.
         progress: called now and then with the number of steps done and of all steps.
 
     Raises:
         SystemFileError: the system or its file is not sound.
-        ExperimentError: an unknown or unfit override, a stop time that is no whole number of steps away from the start, more
+        ExperimentError: an unknown or unfit override or input, a stop time that is no whole number of steps away from the start, more
             steps than memory has room for.
         RunError: an FMU failed; `partial` of the error has the rows up to there.
     """
@@ -60,14 +64,16 @@ def run(
         resolved = resolve(system)
         stop, step = resolved.experiment(stop, step)
         steps = count_steps(system.start, stop, step)
-        values = _start_values(resolved, overrides or {})
+        values = start_values(resolved, overrides or {})
+        signals = checked(inputs or {}, resolved, overrides or {}, steps)
         try:
             record = Record(resolved, output_levels(resolved), system.start, step, steps)
         except MemoryError:
             raise ExperimentError(f"the record of {steps} steps of {step:g} s does not fit into memory") from None
         try:
             slaves = _instantiate(resolved, directory, record, stack)
-            exchange = record.exchange(slaves)
+            # What is given beforehand is set first, so that outputs that depend on it directly are read after it.
+            exchange = [*driving(signals, slaves), *record.exchange(slaves)]
             _initialise(slaves, resolved, values, exchange, stop)
             _step_all(slaves, exchange, record, steps, step, progress)
             for slave in slaves.values():
@@ -98,10 +104,14 @@ def count_steps(start: float, stop: float, step: float) -> int:
     return round(count)
 
 
-def _start_values(resolved: ResolvedSystem, overrides: Mapping[str, Value]) -> dict[str, dict[str, Value]]:
-    """The values to set before initialisation, by element and variable: the system's own and the overrides."""
+def start_values(resolved: ResolvedSystem, overrides: Mapping[str, Value]) -> dict[str, dict[str, Value]]:
+    """The values to set before initialisation, by element and variable: the system's own and the overrides.
+
+    Raises:
+        ExperimentError: an override of an unknown or connected variable, or a value that it cannot take.
+    """
     values = {element: dict(own) for element, own in resolved.parameters.items()}
-    driver = {f"{c.target}.{c.input.name}": f"{c.source}.{c.output.name}" for c in resolved.connections}
+    driver = resolved.drivers()
     for path, value in overrides.items():
         if path in driver:
             raise ExperimentError(f"'{path}' cannot be set: it is connected to '{driver[path]}'")

@@ -12,7 +12,7 @@ from cosim.results import Message, Result
 from cosim.slave import FMI_KIND, Slave, references
 from cosim.system import ResolvedSystem
 
-_STORED = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}  # fmi2Real, fmi2Integer, fmi2Boolean
+STORED = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}  # fmi2Real, fmi2Integer, fmi2Boolean
 
 # function(component, address of value references, their count, address of the values + row * stride) -> status
 Access = tuple[Any, int, int, int, int, int, str]
@@ -51,12 +51,12 @@ class Record:
             key = (levels[element, variable.name], element, FMI_KIND[variable.type])
             self._blocks.setdefault(key, []).append(variable)
         self._column: dict[tuple[str, str], tuple[str, int]] = {}
-        widths = dict.fromkeys(_STORED, 0)
+        widths = dict.fromkeys(STORED, 0)
         for (_, element, kind), variables in self._blocks.items():
             for variable in variables:
                 self._column[element, variable.name] = (kind, widths[kind])
                 widths[kind] += 1
-        self._arrays = {kind: np.empty((steps + 1, widths[kind]), dtype) for kind, dtype in _STORED.items()}
+        self._arrays = {kind: np.empty((steps + 1, widths[kind]), dtype) for kind, dtype in STORED.items()}
         self.time = start + np.arange(steps + 1) * step
         self._references: list[np.ndarray] = []  # kept alive: the calls hold their addresses
 

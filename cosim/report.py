@@ -19,7 +19,7 @@ h1, h2 { line-height: 1.25; } h2 { margin-top: 3rem; border-top: 1px solid #ccc;
 table { border-collapse: collapse; margin: 1.5rem 0; font-size: 0.92rem; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 0.3rem 0.9rem; border-bottom: 1px solid #ddd; vertical-align: top; }
 th { border-bottom: 2px solid #1a1a1a; }
-.scroll { overflow-x: auto; }
+.scroll { overflow-x: auto; } svg { max-width: 100%; height: auto; }
 """
 
 
@@ -45,7 +45,7 @@ def write_report(
     """
     parts = [f"<h1>{escape(title)}</h1>", intro_html]
     if table is not None:
-        parts.append(_table(table))
+        parts.append(html_table(table))
     if len(results) > 1:
         links = (f'<li><a href="#run-{i}">{escape(heading)}</a></li>' for i, (heading, _, _) in enumerate(results))
         parts.append(f"<ul>{''.join(links)}</ul>")
@@ -57,16 +57,23 @@ def write_report(
             config = {"displaylogo": False, "responsive": True}
             div = figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"run-{i}-figure-{j}", config=config)
             parts.append(div)
+    write_page(path, title, parts, get_plotlyjs())
+
+
+def write_page(path: Path, title: str, parts: Sequence[str], script: str = "") -> None:
+    """Write one self-contained HTML file of the given `parts` (HTML); the title is plain text."""
     body = "\n".join(parts)
     path.write_text(
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>{_STYLE}</style>\n<script>{get_plotlyjs()}</script>\n</head>\n<body>\n{body}\n</body>\n</html>\n",
+        f"<style>{_STYLE}</style>\n<script>{script}</script>\n</head>\n<body>\n{body}\n</body>\n</html>\n",
         encoding="utf-8",
     )
 
 
-def _table(table: Table) -> str:
+def html_table(table: Table) -> str:
+    """`table` as HTML."""
+
     def row(tag: str, cells: Sequence[str]) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 

@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import itertools
 import os
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,9 @@ class RunError(RuntimeError):
         self.partial: Result | None = None
 
 
+# fmpy changes the working directory, which is the whole process's, while it loads.
+_loading = threading.Lock()
+
 # fmpy's proxy, which formats the messages, knows one logger per process; the environment pointer tells the instance.
 _sinks: dict[int, Callable[[str, str, str], None]] = {}
 _environments: Iterator[int] = itertools.count(1)
@@ -84,7 +88,10 @@ class Slave:
             found = ", ".join(sorted(p.name for p in platforms.glob("*"))) or "none"
             raise RunError(name, start, f"the FMU has no binary for {fmpy.platform}; it has: {found}")
         try:
-            with contextlib.chdir(os.getcwd()):  # fmpy leaves the working directory changed when loading fails
+            with (
+                _loading,
+                contextlib.chdir(os.getcwd()),
+            ):  # fmpy leaves the working directory changed when loading fails
                 self._fmu = fmi2.FMU2Slave(
                     guid=description.guid, unzipDirectory=str(directory), modelIdentifier=identifier, instanceName=name
                 )

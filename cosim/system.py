@@ -77,6 +77,10 @@ class ResolvedSystem:
     connections: list[Connection]
     parameters: dict[str, dict[str, Value]]
 
+    def drivers(self) -> dict[str, str]:
+        """The path of the output that drives each connected input, by the input's path."""
+        return {f"{c.target}.{c.input.name}": f"{c.source}.{c.output.name}" for c in self.connections}
+
     def experiment(self, stop: float | None = None, step: float | None = None) -> tuple[float, float]:
         """Stop time and step [s]: as given, else as the system says, else as its FMUs' default experiments say.
 

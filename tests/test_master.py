@@ -320,3 +320,21 @@ def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("time,b\n1,two\n")
     with pytest.raises(ValueError, match=r"x\.csv: .*two"):
         read_csv(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize(
+    ("inputs", "overrides", "reason"),
+    [
+        ({"observer.z": 11}, {}, "has no variable 'z'"),
+        ({"plant.y": 11}, {}, "'plant.y' is no numeric input"),
+        ({"observer.y": 11}, {}, "it is connected to 'plant.y'"),
+        ({"observer.rate": 11}, {"observer.rate": 1.0}, "'observer.rate' has recorded values and is set too"),
+        ({"observer.rate": 10}, {}, "'observer.rate' has 10 values; 10 steps take 11"),
+    ],
+)
+def test_inputs_given_beforehand_that_do_not_fit_are_refused(
+    observed: System, inputs: dict[str, int], overrides: dict[str, float], reason: str
+) -> None:
+    with pytest.raises(ExperimentError) as caught:
+        run(observed, stop=1.0, step=0.1, overrides=overrides, inputs={k: np.zeros(n) for k, n in inputs.items()})
+    assert reason in str(caught.value)

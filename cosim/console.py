@@ -1,0 +1,64 @@
+"""What the commands share: where they print, how they end, how they show progress."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+SHOW_PROGRESS_AFTER = 1.5  # [s]
+ELEMENT_FORM = "ELEMENT.VARIABLE=VALUE"
+
+out = Console()
+err = Console(stderr=True)
+
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar=ELEMENT_FORM,
+        help="Start value of a parameter or an unconnected input, such as plant.sensor.seed=7. May be repeated.",
+    ),
+]
+
+
+def split_assignments(texts: list[str] | None, option: str = "--set", form: str = ELEMENT_FORM) -> dict[str, str]:
+    """Names and values, as text, of an option of the given form, such as `--set NAME=VALUE`."""
+    found = {}
+    for text in texts or []:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            fail(f"{option} {text}: not of the form {form}", 2)
+        found[name.strip()] = value.strip()
+    return found
+
+
+def fail(message: str, code: int) -> NoReturn:
+    """End with one red line; `code` is 2 for a user's mistake, 1 for a failed run."""
+    err.print(Text(f"error: {' '.join(message.split())}", style="red"), soft_wrap=True)
+    raise typer.Exit(code)
+
+
+@contextmanager
+def late_progress() -> Iterator[Callable[[int, int], None]]:
+    """What to call with the steps done and of all: shows a bar once a run takes longer than a moment."""
+    columns = (TextColumn("running"), BarColumn(), TextColumn("{task.percentage:.0f} %"), TimeRemainingColumn())
+    display = Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
+    task = display.add_task("running")
+    begin = time.monotonic()
+
+    def update(done: int, total: int) -> None:
+        display.update(task, completed=done, total=total)
+        if time.monotonic() - begin > SHOW_PROGRESS_AFTER:
+            display.start()  # does nothing when it is shown already
+
+    try:
+        yield update
+    finally:
+        display.stop()
