@@ -1,7 +1,7 @@
 """The arrival cost: what samples that have left the window still say about its first state.
 
-A quadratic |s - sbar|^2_{P^-1} of s = [x0; theta] at the window's first sample, before that sample's own measurement. When the window moves on,
-the sample that it leaves behind corrects (sbar, P) as in an extended Kalman filter linearised at the window's own solution s*,
+A quadratic |s - sbar|^2_{P^-1} of s = [x0; theta] at the window's first sample, before that sample's own measurement. When the window
+moves on, the sample that it leaves behind corrects (sbar, P) as in an extended Kalman filter linearised at the window's own solution s*,
 
     s+ = sbar + G (y0 - h(s*) - M0 (sbar - s*))        P+ = (I - G M0) P (I - G M0)' + G R G'
 
@@ -125,8 +125,8 @@ def advance(
 ) -> dict[str, Any]:
     """Mean and covariance for the next window.
 
-    `at` is the window's trajectory (V, Z, s*), `data` its known terms, `y`, `valid` (ny) its first sample, `inputs` (U, those at the samples),
-    `time` its start.
+    `at` is the window's trajectory (V, Z, s*), `data` its known terms, `y`, `valid` (ny) its first sample, `inputs` (U, those at the
+    samples), `time` its start.
     """
     problem, model = method.problem, method.model
     nx, ns, ny, nu = problem.nx, len(problem.scale), problem.ny, problem.nu

@@ -1,7 +1,7 @@
 """Bounded measurement noise: section 3.4 of Gong, Ross & Kang 2007, (36) to (40) and Problem 3.
 
-With |d_i| <= b the clean output lies in the tube sigma1 <= h(z(t_i)) <= sigma2 (38). For a new sample the tube is y +- b (39), cut with what
-the past data leave possible (40): y_pre +- sqrt(J*), where J* of Problem 3 is how far a trajectory through the tube of the older samples
+With |d_i| <= b the clean output lies in the tube sigma1 <= h(z(t_i)) <= sigma2 (38). For a new sample the tube is y +- b (39), cut with
+what the past data leave possible (40): y_pre +- sqrt(J*), where J* of Problem 3 is how far a trajectory through the tube of the older samples
 can be from the predicted output at the new one.
 
 What deviates, and why: Problem 3 is solved on the window that ends with the new sample, so that the oldest sample has left it (a bound
@@ -11,7 +11,7 @@ bound gets a margin (`tuning.bound_margin`), and where one of the two does not c
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -52,7 +52,9 @@ def ports_of(model: Model, noise_bound: float | Mapping[str, float] | None) -> B
     for name in {*given} ^ {*names}:
         raise ModelError(f"pseudospectral: noise_bound of '{name}'; the outputs are {', '.join(names)}")
     several = len(names) > 1
-    tuning, lower, upper = [], [], []
+    tuning: list[Port] = []
+    lower: list[Port] = []
+    upper: list[Port] = []
     for i, v in enumerate(model.outputs, start=1):
         if not given[v.name] > 0:
             raise ModelError(f"pseudospectral: noise_bound of '{v.name}' = {given[v.name]:g} must be positive")
@@ -115,40 +117,19 @@ def bounds(
     refined, fallbacks = s.bounds[2 * ny], s.bounds[2 * ny + 1]
     b, scale = q.noise_bound, ca.DM(problem.output_scale)
     insert = insert_sample(ny, method.samples + 1)
-    old = [insert(column, ca.DM.zeros(ny), s.k) for column in (s.lower, s.upper)]
-    newest = ca.DM(range(ny * problem.n_measured))
-    problem_3 = Solve(problem, method.constraints, aim=True)
-    solve = iterate(problem_3)
-    here = output_residual(problem)
+    older = [insert(column, ca.DM.zeros(ny), s.k) for column in (s.lower, s.upper)]
+    places = ca.DM(range(ny * problem.n_measured))
+    known = {**given, "lower": older[0], "upper": older[1], "mask": W * (places < place * ny)}
+    reach = _reach(method, q, at, known)
     lower, upper = [], []
     for i in range(ny):
-        mine = newest == place * ny + i
-        # Of the predicted output, and of the furthest one either way: the same measurement y cancels.
-        predicted = ca.dot(mine, residual)
+        mine = places == place * ny + i
+        predicted = ca.dot(mine, residual) + y[i]
         wanted = ca.logic_and(ca.logic_and(warm, ca.sum1(W) > len(problem.scale)), valid[i])
-        # Each way from the prediction first, then from where the other way ended: a local solution is not always the furthest.
-        own = {**given, "lower": old[0], "upper": old[1], "mask": W * (newest < place * ny)}
-        ends, furthest, ok = [at, at], [ca.MX(0), ca.MX(0)], wanted
-        for turn in range(2):
-            starts, ends = ends, []
-            for way, sign in enumerate((1.0, -1.0)):
-                own["w"] = sign * mine
-                V, Z, unknown, size, _, _, slack, _ = solve(
-                    wanted, *starts[1 - way], q.tolerance, q.iteration_limit, *[own[name] for name in problem_3.given]
-                )
-                reached = sign * (ca.dot(mine, here(V, Z, unknown, given["data"], given["p"], given["y"])) - predicted)
-                met = ca.logic_and(ca.logic_and(size < q.tolerance**2, slack < MET), ca.fabs(reached) < HUGE)
-                furthest[way] = ca.fmax(furthest[way], ca.if_else(met, reached, 0))
-                ends.append([ca.if_else(met, there, from_) for there, from_ in zip((V, Z, unknown), at, strict=True)])
-                if turn == 0:
-                    ok = ca.logic_and(ok, met)
-        distances = furthest
-        radius = ca.fmax(*distances) + q.bound_margin * scale[i]
-        sigma1, sigma2 = (
-            ca.fmax(y[i] - b[i], predicted + y[i] - radius),
-            ca.fmin(y[i] + b[i], predicted + y[i] + radius),
-        )
-        ok = ca.logic_and(ok, sigma1 < sigma2)
+        furthest, met = reach(wanted, mine, predicted)
+        radius = furthest + q.bound_margin * scale[i]
+        sigma1, sigma2 = ca.fmax(y[i] - b[i], predicted - radius), ca.fmin(y[i] + b[i], predicted + radius)
+        ok = ca.logic_and(met, sigma1 < sigma2)
         lower.append(ca.if_else(ok, sigma1, y[i] - b[i]))
         upper.append(ca.if_else(ok, sigma2, y[i] + b[i]))
         refined, fallbacks = refined + ok, fallbacks + ca.logic_and(wanted, ca.logic_not(ok))
@@ -160,11 +141,49 @@ def bounds(
     }
 
 
-def released(method: Method, q: SimpleNamespace, made: Mapping[str, Any], y: Any, contradiction: Any) -> dict[str, Any]:
-    """`bounds`' result with y +- b for the whole window where `contradiction`, counted as a fallback; y are the window's measurements."""
-    ny, count = method.problem.ny, method.problem.n_measured
-    b = ca.repmat(q.noise_bound, count, 1)
-    lower, upper = (ca.if_else(contradiction, y + sign * b, made[name]) for name, sign in (("lower", -1), ("upper", 1)))
-    now = [ca.if_else(contradiction, side[-ny:], made["bounds"][i * ny : (i + 1) * ny]) for i, side in enumerate((lower, upper))]
-    refined, fallbacks = made["bounds"][2 * ny], made["bounds"][2 * ny + 1]
-    return {"lower": lower, "upper": upper, "bounds": ca.vertcat(*now, refined, fallbacks + contradiction)}
+def _reach(
+    method: Method, q: SimpleNamespace, at: tuple[Any, Any, Any], known: Mapping[str, Any]
+) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
+    """Problem 3: (wanted, which output, its prediction) -> (how far from it the tube lets that output be, whether both ways were found).
+
+    Each way from the prediction first, then from where the other way ended: a local solution is not always the furthest.
+    """
+    problem_3 = Solve(method.problem, method.constraints, aim=True)
+    solve, residual = iterate(problem_3), output_residual(method.problem)
+
+    def reach(wanted: Any, mine: Any, predicted: Any) -> tuple[Any, Any]:
+        starts: list[tuple[Any, ...]] = [at, at]
+        furthest, found = ca.MX(0), wanted
+        for turn in range(2):
+            ends = []
+            for sign, start in ((1.0, starts[1]), (-1.0, starts[0])):
+                own = {**known, "w": sign * mine}
+                arguments = [q.tolerance, q.iteration_limit, *[own[name] for name in problem_3.given]]
+                V, Z, unknown, size, _, _, slack, _ = solve(wanted, *start, *arguments)
+                value = ca.dot(mine, residual(V, Z, unknown, known["data"], known["p"], known["y"]) + known["y"])
+                met = ca.logic_and(ca.logic_and(size < q.tolerance**2, slack < MET), ca.fabs(value) < HUGE)
+                furthest = ca.fmax(furthest, ca.if_else(met, sign * (value - predicted), 0))
+                found = ca.logic_and(found, met) if turn == 0 else found
+                ends.append(tuple(ca.if_else(met, b, a) for a, b in zip(at, (V, Z, unknown), strict=True)))
+            starts = ends
+        return furthest, found
+
+    return reach
+
+
+def released(
+    method: Method, q: SimpleNamespace, made: Mapping[str, Any], window: Any, newest: Any, contradiction: Any
+) -> dict[str, Any]:
+    """`bounds`' result with y +- b for the whole window where `contradiction`, counted as a fallback.
+
+    `window` are the window's measurements, `newest` (ny) the last ones.
+    """
+    ny = method.problem.ny
+    b = ca.repmat(q.noise_bound, method.problem.n_measured, 1)
+    lower, upper = (
+        ca.if_else(contradiction, window + sign * b, made[name]) for name, sign in (("lower", -1), ("upper", 1))
+    )
+    now = ca.vertcat(newest - q.noise_bound, newest + q.noise_bound)
+    counts = made["bounds"][2 * ny :] + ca.vertcat(0, contradiction)
+    shown = ca.if_else(contradiction, now, made["bounds"][: 2 * ny])
+    return {"lower": lower, "upper": upper, "bounds": ca.vertcat(shown, counts)}

@@ -166,7 +166,7 @@ def jump(method: Method) -> ca.Function:
     wanted = ca.logic_and(enough, ca.sum1(valid) > 0)
     given = {"data": data, "p": q.model, "y": compared, "w": weight, "lam": q.regularisation, "active": active}
     given |= arrival.given(method.arrival, s, problem.scale, Ts)
-    bounds = {}
+    bounds: dict[str, Any] = {}
     if method.constraints.tube:
         bounds = bounded_noise.bounds(method, s, q, (V, Z, unknown), given, residual, valid, y, W, place, fresh == WARM)
         given |= {"lower": bounds["lower"], "upper": bounds["upper"], "mask": W}
@@ -175,18 +175,20 @@ def jump(method: Method) -> ca.Function:
     problem_2 = Solve(problem, method.constraints, method.arrival)
     solve = iterate(problem_2)
     limits = [q.tolerance, q.iteration_limit]
-    found = solve(due, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
+    found: Any = solve(due, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
     if method.constraints.tube:
         # Bounds that contradict each other have gone wrong somewhere: all of them start again from y +- b.
         contradiction = ca.logic_and(due, ca.logic_not(found[6] <= VIOLATED))
-        bounds = bounded_noise.released(method, q, bounds, compared, contradiction)
+        bounds = bounded_noise.released(method, q, bounds, compared, y, contradiction)
         given |= {"lower": bounds["lower"], "upper": bounds["upper"]}
         again = solve(contradiction, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
         found = [ca.if_else(contradiction, b, a) for a, b in zip(found, again, strict=True)]
     V_new, Z_new, unknown_new, size, cost_after, conditioning, slack, iterations = found
     sound = ca.sumsqr(ca.vertcat(V_new, Z_new, unknown_new)) < HUGE
     converged = ca.logic_and(ca.logic_and(due, sound), size < q.tolerance**2)
-    determined = 1 if method.arrival else conditioning > q.conditioning_limit  # what the window leaves open the past decides
+    determined = (
+        1 if method.arrival else conditioning > q.conditioning_limit
+    )  # what the window leaves open the past decides
     accepted = ca.logic_and(converged, determined)
     failed = ca.logic_and(due, ca.logic_not(converged))
     kept = ca.logic_and(wanted, ca.logic_not(due))

@@ -135,7 +135,9 @@ def pseudospectral(
 
     motion = algebraic.motion(eq)
     moved = runge_kutta(lambda x, time: motion(x, known, q.model, s.theta, time, s.z)[0], s.x, t, h)
-    moved_z, lost = algebraic.followed(eq, [v.nominal for v in model.algebraic])(moved, s.z, known, q.model, s.theta, t + h)
+    moved_z, lost = algebraic.followed(eq, [v.nominal for v in model.algebraic])(
+        moved, s.z, known, q.model, s.theta, t + h
+    )
     sound = ca.logic_and(ca.sumsqr(ca.vertcat(moved, moved_z)) < HUGE, ca.logic_not(lost))
     after = {
         "x": ca.if_else(sound, moved, q.guess_x),

@@ -16,6 +16,7 @@ from reference_models.sine import sine
 
 # The paper's first guess (0, 0, 0.1), of a plant that starts at (2, 1, 0.4).
 GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
+RLC_GUESS = {"x1": 4.1, "x2": 0.0, "x3": 2.8}  # of a plant that starts at (4, 1.5, 2.7)
 
 
 @cache
@@ -71,6 +72,24 @@ FMUS: dict[str, Source] = {
         duffing,
     ),
     "rlc": (rlc, None),
+    "duffing_known_pseudospectral_tube": (
+        lambda: pseudospectral(
+            DUFFING_KNOWN,
+            sample_time=0.1,
+            N=13,
+            L=50,
+            segments=5,
+            noise_bound=1.0,
+            guess={"x1": 0.0, "x2": 0.0},
+            name="duffing_known_pseudospectral_tube",
+            stop_time=60.0,
+        ),
+        duffing,
+    ),
+    "rlc_pseudospectral": (
+        lambda: pseudospectral(RLC, sample_time=0.2, N=15, L=5, guess=RLC_GUESS, stop_time=4.0),
+        rlc,
+    ),
     "sine": (sine, None),
 }
 
@@ -134,6 +153,19 @@ SYSTEMS: dict[str, Recipe] = {
         "duffing_known_pseudospectral",
         stop=60.0,
         plant={"start.x1": 1.0, "start.x2": 2.0, "sensor.noise_bound": 1.0, "sensor.sample_time": 0.1},
+    ),
+    "gong_example_4_tube": _gong(
+        "Example 4 with the tube (38) around the output and Problem 3",
+        "duffing_known_pseudospectral_tube",
+        stop=60.0,
+        plant={"start.x1": 1.0, "start.x2": 2.0, "sensor.noise_bound": 1.0, "sensor.sample_time": 0.1},
+    ),
+    "gong_example_6": Recipe(
+        "Example 6: RLC circuit with a nonlinear capacitor, a DAE",
+        {"plant": "rlc", "observer": "rlc_pseudospectral"},
+        {},
+        4.0,
+        0.2,
     ),
     "gong_example_5": _gong(
         "Example 5: theta jumps at t = 15 and t = 35, noise in [-0.1, 0.1], L = N = 50",

@@ -10,6 +10,7 @@ from functools import cache
 
 from observers.component import Component
 from observers.model import Model, Variable
+from observers.pseudospectral import pseudospectral
 from observers.ukf import ukf
 from reference_models.plant import plant
 from reference_models.recipe import Recipe, Source
@@ -48,16 +49,43 @@ def silverbox() -> Component:
     return plant(SILVERBOX, max_step=SAMPLE_TIME, stop_time=0.3, step_size=SAMPLE_TIME)
 
 
+GUESS = {"x1": 0.0, "k1": OFF * K1, "k3": OFF * K3}
+PROCESS_NOISE = {"x1": 1e-3, "x2": 5.0, "k1": 100.0, "k3": 1e4}
+INITIAL_STD = {"x1": 0.1, "x2": 43.0, "k1": 0.3 * K1, "k3": 0.3 * K3}
+
 FMUS: dict[str, Source] = {
     "silverbox": (silverbox, None),
+    "silverbox_pseudospectral": (
+        lambda: pseudospectral(
+            SILVERBOX, sample_time=SAMPLE_TIME, N=5, L=200, segments=100, guess=GUESS, stop_time=1.0
+        ),
+        silverbox,
+    ),
+    "silverbox_pseudospectral_short": (
+        lambda: pseudospectral(
+            SILVERBOX,
+            sample_time=SAMPLE_TIME,
+            N=6,
+            L=50,
+            segments=25,
+            arrival_cost=True,
+            process_noise=PROCESS_NOISE,
+            measurement_noise={"y": 1e-3},
+            initial_std=INITIAL_STD,
+            guess=GUESS,
+            name="silverbox_pseudospectral_short",
+            stop_time=1.0,
+        ),
+        silverbox,
+    ),
     "silverbox_ukf": (
         lambda: ukf(
             SILVERBOX,
             sample_time=SAMPLE_TIME,
-            process_noise={"x1": 1e-3, "x2": 5.0, "k1": 100.0, "k3": 1e4},
+            process_noise=PROCESS_NOISE,
             measurement_noise={"y": 1e-3},
-            initial_std={"x1": 0.1, "x2": 43.0, "k1": 0.3 * K1, "k3": 0.3 * K3},
-            guess={"x1": 0.0, "k1": OFF * K1, "k3": OFF * K3},
+            initial_std=INITIAL_STD,
+            guess=GUESS,
             stop_time=0.3,
         ),
         silverbox,

@@ -1,4 +1,4 @@
-"""Algebraic variables eliminated: z solves g(x, z) = 0 by Newton's method from a value nearby, which also says which of several branches."""
+"""Algebraic variables eliminated: z solves g(x, z) = 0 by Newton's method from a value nearby, which picks the branch."""
 
 from __future__ import annotations
 

@@ -73,7 +73,8 @@ def shift(problem: LeastSquares, eq: Equations) -> ca.Function:
 
 def _shifted_into_next(problem: LeastSquares) -> ca.Function:
     """(xs, V, Z, U of a segment, the same of the next one, theta, p, known) -> (V, Z) a sample later."""
-    s, kind = problem.segment, ca.SX if problem.segment_is_small else ca.MX
+    s = problem.segment
+    kind: Any = ca.SX if problem.segment_is_small else ca.MX
     here, there = _segment_symbols(problem, kind), _segment_symbols(problem, kind)
     times = s.node_times[1:] + s.sample_time
     inside = times <= s.length * (1 + 1e-12)
@@ -92,7 +93,8 @@ def _shifted_into_next(problem: LeastSquares) -> ca.Function:
 
 def _shifted_beyond(problem: LeastSquares, eq: Equations) -> ca.Function:
     """(xs, V, Z, U of the last segment, x_last, x_now, z_now, theta, p, known, u, t) -> (V, Z) a sample later."""
-    s, kind = problem.segment, ca.SX if problem.segment_is_small else ca.MX
+    s = problem.segment
+    kind: Any = ca.SX if problem.segment_is_small else ca.MX
     here = _segment_symbols(problem, kind)
     x_last, x_now, u = kind.sym("x_last", problem.nx), kind.sym("x_now", problem.nx), kind.sym("u", problem.nu)
     z_now, t = kind.sym("z_now", problem.rates.n_algebraic), kind.sym("t")
@@ -159,7 +161,7 @@ def state_at(problem: LeastSquares) -> ca.Function:
     s, nx, nz, count, L = problem.segment, problem.nx, problem.rates.n_algebraic, problem.count, problem.segment.samples
     V, x0, U = _symbols(problem, ca.MX)
     place, Z = ca.MX.sym("place"), ca.MX.sym("Z", count * problem.n_algebraic)
-    arguments = [place, V, Z, x0, U]
+    arguments: list[Any] = [place, V, Z, x0, U]
     starts = segment_starts(problem)(V, x0, U)
     last_z = Z[-nz:] if nz else ca.MX(0, 1)
     at_end = ca.Function("at_end", arguments, [starts[:, count], last_z])
@@ -172,7 +174,8 @@ def state_at(problem: LeastSquares) -> ca.Function:
     chosen = ca.DM(range(count * L + 1)) == place
     z_there = ca.horzcat(*algebraics) @ chosen if nz else ca.MX(0, 1)
     somewhere = ca.Function("somewhere", arguments, [ca.horzcat(*states) @ chosen, z_there])
-    return ca.Function("state", arguments, ca.Function.if_else("at", at_end, somewhere)(place == count * L, *arguments))
+    chosen_function = ca.Function.if_else("at", at_end, somewhere)
+    return ca.Function("state", arguments, list(chosen_function(place == count * L, *arguments)))
 
 
 def node0(problem: LeastSquares) -> ca.Function:
