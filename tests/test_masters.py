@@ -1,0 +1,296 @@
+"""Other tools run our systems: the same numbers, or what docs/masters.md says of them."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from tools import imports, need
+from typer.testing import CliRunner, Result
+
+from build_fmus import SYSTEMS
+from cosim.__main__ import app
+from cosim.comparison import LIMIT, MASTERS, differences, largest, record_all
+from cosim.errors import ExperimentError
+from cosim.fmu import Value
+from cosim.masters import process
+from cosim.masters.experiment import MasterError
+from cosim.master import run
+from cosim.ssp import STRUCTURE, write_ssp
+from cosim.system import Element, System
+from fmu_src import export
+from observers.component import Component, Port
+from observers.instance import Instance
+from reference_models.duffing import DUFFING
+from reference_models.plant import plant
+
+Build = Callable[[str], Path]
+PACKAGES = {"ecos": "ecospy", "libcosim": "libcosimpy"}
+
+
+@pytest.fixture(scope="session")
+def tools() -> None:
+    """The other tools are installed."""
+    for name, package in PACKAGES.items():
+        need(imports(package), f"{name} is not installed here: see docs/masters.md")
+
+
+def coupled(
+    built: Build, plant: Mapping[str, Value] | None = None, toy: Mapping[str, Value] | None = None, **options: float
+) -> System:
+    """A noisy plant that drives a sampled component."""
+    noise = {"sensor.noise_bound": 0.1, "sensor.sample_time": 0.1}
+    elements = {
+        "plant": Element(built("duffing"), noise | dict(plant or {})),
+        "toy": Element(built("sampled_toy"), dict(toy or {})),
+    }
+    return System("coupled", elements, [("plant.y", "toy.y")], stop=options.get("stop", 5.0), step=0.1)
+
+
+def written(system: System, folder: Path) -> Path:
+    path = folder / f"{system.name}.ssp"
+    write_ssp(system, path)
+    return path
+
+
+def edited(path: Path, edit: Callable[[str], str], name: str) -> Path:
+    """A copy of the .ssp file whose SystemStructure.ssd went through `edit`."""
+    target = path.with_name(f"{name}.ssp")
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w") as archive:
+        for member in source.namelist():
+            content = source.read(member)
+            archive.writestr(member, edit(content.decode()) if member == STRUCTURE else content)
+    return target
+
+
+@pytest.mark.usefixtures("tools")
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_every_system_of_the_catalogue_gives_the_same_numbers_in_every_tool(name: str, catalogue: Path) -> None:
+    recordings = record_all(catalogue / "systems" / f"{name}.ssp", MASTERS)
+    reference = recordings["fmpy"]
+    kinds = run(catalogue / "systems" / f"{name}.ssp").kinds
+    for tool in PACKAGES:
+        found = differences(reference, recordings[tool])
+        assert largest(found) <= LIMIT, found
+        missing = {column for column, value in found.items() if value is None}
+        assert missing == {column for column, kind in kinds.items() if kind == "Enumeration"}
+
+
+@pytest.mark.usefixtures("tools")
+@pytest.mark.parametrize("tool", PACKAGES)
+@pytest.mark.parametrize(
+    ("element", "values"),
+    [
+        ("plant", {"start.x1": 1.25}),
+        ("plant", {"model.damping": 0.5}),
+        ("plant", {"model.theta_jump_time[1]": 2.03, "model.theta_jump_value[1]": 0.1}),
+        ("plant", {"sensor.seed": 7}),
+        ("plant", {"u": 0.5}),
+        ("toy", {"start.level": -2.0}),
+        ("toy", {"tuning.scale": 3}),
+        ("toy", {"tuning.gain": 0.125}),
+        ("toy", {"sample_time": 0.2}),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else value,
+)
+def test_a_parameter_binding_that_differs_from_the_default_is_applied(
+    tool: str, element: str, values: dict[str, Value], built: Build, tmp_path: Path
+) -> None:
+    with_binding = record_all(written(coupled(built, **{element: values}), tmp_path), ["fmpy", tool])
+    without = process.record(tool, written(coupled(built), tmp_path))
+    assert largest(differences(with_binding["fmpy"], with_binding[tool])) <= LIMIT
+    assert largest(differences(without, with_binding[tool])) > 1e-3
+
+
+@pytest.mark.usefixtures("tools")
+def test_libcosim_runs_from_a_start_time_and_ecos_says_that_it_cannot(built: Build, tmp_path: Path) -> None:
+    system = System("late", {"plant": Element(built("duffing"))}, start=10.0, stop=15.0, step=0.1)
+    path = written(system, tmp_path)
+    recordings = record_all(path, ["fmpy", "libcosim"])
+    assert largest(differences(recordings["fmpy"], recordings["libcosim"])) <= LIMIT
+    assert recordings["libcosim"]["time"][0] == 10.0
+    with pytest.raises(MasterError, match="ecos: starts at t = 0, not at 10 as asked"):
+        process.record("ecos", path)
+
+
+@pytest.mark.usefixtures("tools")
+def test_a_tool_that_ends_its_process_is_a_message(built: Build, tmp_path: Path) -> None:
+    path = written(coupled(built, toy={"tuning.mode": 2}), tmp_path)
+    with pytest.raises(MasterError, match=r"libcosim: the process ended by SIGABRT: .*Enumeration type"):
+        process.record("libcosim", path)
+    with pytest.raises(MasterError, match="ecos: Unknown XML node in ssv:Parameter"):
+        process.record("ecos", path)
+
+
+@pytest.mark.usefixtures("tools")
+def test_libcosim_stops_where_an_fmu_fails_and_ecos_goes_on_with_the_last_values(built: Build, tmp_path: Path) -> None:
+    path = written(System("doomed", {"growing": Element(built("growing_toy"))}, stop=3.0, step=0.1), tmp_path)
+    with pytest.raises(MasterError, match=r"libcosim: .*the state is not finite after the step from t = 1\.3 to 1\.4"):
+        process.record("libcosim", path)
+    z = process.record("ecos", path)["growing.z"]
+    assert len(z) == 31 and z[12] < z[13] and np.all(z[13:] == z[13])
+
+
+@pytest.mark.usefixtures("tools")
+def test_ecos_applies_only_the_parameter_set_that_it_is_told_by_name(built: Build, tmp_path: Path) -> None:
+    path = written(coupled(built, {"start.x1": 1.25}), tmp_path)
+    other = edited(path, lambda text: text.replace('"initialValues"', '"other"'), "other")
+    recordings = record_all(other, MASTERS)
+    assert recordings["libcosim"]["plant.x.x1"][0] == recordings["fmpy"]["plant.x.x1"][0] == 1.25
+    assert recordings["ecos"]["plant.x.x1"][0] == DUFFING.states[0].start != 1.25
+
+
+@pytest.mark.usefixtures("tools")
+def test_ecos_and_libcosim_ignore_parameters_bound_at_the_system(built: Build, tmp_path: Path) -> None:
+    system = System("alone", {"plant": Element(built("duffing"), {"start.x1": 1.25})}, stop=1.0, step=0.1)
+
+    def lift(text: str) -> str:
+        bindings = re.search(r"<ssd:ParameterBindings>.*?</ssd:ParameterBindings>", text, re.DOTALL)
+        assert bindings is not None
+        lifted = bindings[0].replace('ssv:Parameter name="', 'ssv:Parameter name="plant.')
+        return text.replace(bindings[0], "").replace("<ssd:Elements>", lifted + "<ssd:Elements>")
+
+    recordings = record_all(edited(written(system, tmp_path), lift, "lifted"), MASTERS)
+    starts = {tool: recording["plant.x.x1"][0] for tool, recording in recordings.items()}
+    default = DUFFING.states[0].start
+    assert starts == {"fmpy": 1.25, "ecos": default, "libcosim": default}
+
+
+def gain() -> Component:
+    """A static controller, u = -0.5 y."""
+    z, u, p, t, h = ca.SX(0, 1), ca.SX.sym("u", 1), ca.SX.sym("p", 0), ca.SX.sym("t"), ca.SX.sym("h")
+    return Component(
+        name="gain",
+        description="Static gain",
+        start=ca.Function("start", [p, t], [z]),
+        flow=ca.Function("flow", [z, u, p, t, h], [z]),
+        output=ca.Function("output", [z, u, p, t], [-0.5 * u]),
+        inputs=(Port("y", "measured"),),
+        outputs=(Port("u", "force"),),
+    )
+
+
+@pytest.mark.usefixtures("tools")
+def test_direct_feedthrough_comes_one_step_late_in_ecos_and_libcosim(built: Build, tmp_path: Path) -> None:
+    elements = {"plant": Element(built("duffing")), "gain": Element(export(gain(), tmp_path))}
+    system = System("loop", elements, [("plant.y", "gain.y"), ("gain.u", "plant.u")], stop=5.0, step=0.1)
+    recordings = record_all(written(system, tmp_path), MASTERS)
+    at_once, late = (delayed_loop(delay) for delay in (0, 1))
+    assert np.abs(at_once - late).max() > 0.01
+    np.testing.assert_allclose(recordings["fmpy"]["plant.y"], at_once, rtol=1e-12)
+    for tool in PACKAGES:
+        np.testing.assert_allclose(recordings[tool]["plant.y"], late, rtol=1e-12)
+
+
+def delayed_loop(delay: int) -> np.ndarray:
+    """The plant's y under u = -0.5 y, by the Python face; u is of `delay` steps ago, at first of the start."""
+    run = Instance(plant(DUFFING, jumps={"theta": 2}))
+    y = [run.get("y")]
+    for k in range(50):
+        run.set("u", -0.5 * y[max(k - delay, 0)])
+        run.step(0.1 * k, 0.1)
+        y.append(run.get("y"))
+    return np.array(y)
+
+
+@pytest.mark.parametrize("name", ["gong_example_2", "gong_example_2_ukf", "james_baras_5_1", "nikoukhah_motor"])
+def test_an_observer_driven_by_fmpy_alone_gives_the_masters_numbers(name: str, example: Callable, catalogue: Path) -> None:
+    result, recipe = example(name), SYSTEMS[name]
+    ends = [(end.partition(".")[2], start) for start, end in recipe.connections if end.startswith("observer.")]
+    signals = np.rec.fromarrays([result.time, *(result[s] for _, s in ends)], names=["time", *(e for e, _ in ends)])
+    outputs = [column for column in result.names if column.startswith("observer.")]
+    found = fmpy.simulate_fmu(
+        str(catalogue / "fmus" / f"{recipe.fmus['observer']}.fmu"),
+        stop_time=result.time[-1],
+        step_size=recipe.step,
+        output_interval=recipe.step,
+        start_values=dict(recipe.parameters.get("observer", {})),
+        input=signals,
+        output=[column.removeprefix("observer.") for column in outputs],
+    )
+    np.testing.assert_allclose(found["time"], result.time, rtol=1e-12)
+    for column in outputs:
+        scale = np.abs(result[column]).max()
+        np.testing.assert_allclose(
+            found[column.removeprefix("observer.")], result[column], rtol=0, atol=1e-12 * scale, err_msg=column
+        )
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"),
+    [
+        ([1.0, -4.0], [1.0, -4.0], 0.0),
+        ([1.0, -4.0], [1.5, -4.0], 0.125),
+        ([0.0, 0.0], [0.0, 1e-9], 1.0),
+        ([0.0, np.nan, np.inf], [0.0, np.nan, np.inf], 0.0),
+        ([2.0, np.nan], [2.5, np.nan], 0.2),
+        ([2.0, np.nan], [2.0, 1.0], np.inf),
+        ([2.0, np.inf], [2.0, -np.inf], np.inf),
+        ([1.0, 2.0], [1.0], np.inf),
+    ],
+)
+def test_a_difference_is_relative_to_the_columns_largest_value(a: list[float], b: list[float], expected: float) -> None:
+    assert differences({"v": np.array(a)}, {"v": np.array(b)}) == {"v": expected}
+
+
+def test_a_column_that_a_tool_lacks_is_no_difference_but_named() -> None:
+    found = differences({"v": np.ones(2), "w": np.ones(2)}, {"w": np.ones(2)})
+    assert found == {"v": None, "w": 0.0} and largest(found) == 0.0
+
+
+def compare(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["compare", *(str(a) for a in arguments)])
+
+
+def refused(result: Result, code: int) -> str:
+    assert result.exit_code == code, result.output
+    (line,) = result.stderr.strip().splitlines()
+    assert line.startswith("error: ")
+    return line
+
+
+@pytest.mark.usefixtures("tools")
+def test_compare_prints_each_variable_and_writes_what_each_tool_recorded(built: Build, tmp_path: Path) -> None:
+    path = written(coupled(built), tmp_path)
+    result = compare(path, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    for row in (r"plant\.y\W+0\W+0\W", r"toy\.diagnostics\.status\W+not recorded\W+not recorded", r"largest\W+[\d.e-]+"):
+        assert re.search(row, result.stdout), row
+    for tool in MASTERS:
+        with (tmp_path / "out" / f"{tool}.csv").open() as file:
+            rows = list(csv.reader(file))
+        assert rows[0][:2] == ["time", "plant.y"] and len(rows) == 52
+
+
+@pytest.mark.usefixtures("tools")
+def test_compare_fails_where_the_tools_differ(built: Build, tmp_path: Path) -> None:
+    path = written(coupled(built, {"start.x1": 1.25}), tmp_path)
+    other = edited(path, lambda text: text.replace('"initialValues"', '"other"'), "other")
+    assert "other.ssp: the tools differ by" in refused(compare(other, "--masters", "fmpy,ecos"), 1)
+
+
+def test_compare_refuses_unknown_and_too_few_masters_in_one_line(built: Build, tmp_path: Path) -> None:
+    path = written(coupled(built), tmp_path)
+    assert "there is no master 'ecoss'; did you mean 'ecos'" in refused(compare(path, "--masters", "fmpy,ecoss"), 2)
+    for names in ("fmpy", "fmpy,fmpy", "ecos,ecos"):
+        assert f"masters '{names}': a comparison needs two" in refused(compare(path, "--masters", names), 2)
+    with pytest.raises(ExperimentError, match="needs two"):
+        record_all(path, [])
+    assert "there is no such file" in refused(compare(tmp_path / "nowhere.ssp"), 2)
+
+
+def test_a_tool_that_is_not_installed_is_named_in_one_line(
+    built: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ecospy.py").write_text("raise ImportError('libtbb.so.12: cannot open shared object file')")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    line = refused(compare(written(coupled(built), tmp_path), "--masters", "fmpy,ecos"), 1)
+    assert "ecos: not installed here (libtbb.so.12" in line and "docs/masters.md" in line
