@@ -21,9 +21,9 @@ from cosim.__main__ import app
 from cosim.comparison import LIMIT, MASTERS, differences, largest, record_all
 from cosim.errors import ExperimentError
 from cosim.fmu import Value
+from cosim.master import run
 from cosim.masters import process
 from cosim.masters.experiment import MasterError
-from cosim.master import run
 from cosim.ssp import STRUCTURE, write_ssp
 from cosim.system import Element, System
 from fmu_src import export
@@ -202,7 +202,9 @@ def delayed_loop(delay: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["gong_example_2", "gong_example_2_ukf", "james_baras_5_1", "nikoukhah_motor"])
-def test_an_observer_driven_by_fmpy_alone_gives_the_masters_numbers(name: str, example: Callable, catalogue: Path) -> None:
+def test_an_observer_driven_by_fmpy_alone_gives_the_masters_numbers(
+    name: str, example: Callable, catalogue: Path
+) -> None:
     result, recipe = example(name), SYSTEMS[name]
     ends = [(end.partition(".")[2], start) for start, end in recipe.connections if end.startswith("observer.")]
     signals = np.rec.fromarrays([result.time, *(result[s] for _, s in ends)], names=["time", *(e for e, _ in ends)])
@@ -262,7 +264,11 @@ def test_compare_prints_each_variable_and_writes_what_each_tool_recorded(built: 
     path = written(coupled(built), tmp_path)
     result = compare(path, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    for row in (r"plant\.y\W+0\W+0\W", r"toy\.diagnostics\.status\W+not recorded\W+not recorded", r"largest\W+[\d.e-]+"):
+    for row in (
+        r"plant\.y\W+0\W+0\W",
+        r"toy\.diagnostics\.status\W+not recorded\W+not recorded",
+        r"largest\W+[\d.e-]+",
+    ):
         assert re.search(row, result.stdout), row
     for tool in MASTERS:
         with (tmp_path / "out" / f"{tool}.csv").open() as file:
