@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import os
 import re
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -33,6 +35,7 @@ from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 
 Build = Callable[[str], Path]
+ROOT = Path(__file__).parent.parent
 PACKAGES = {"ecos": "ecospy", "libcosim": "libcosimpy"}
 
 
@@ -224,6 +227,20 @@ def test_an_observer_driven_by_fmpy_alone_gives_the_masters_numbers(
         np.testing.assert_allclose(
             found[column.removeprefix("observer.")], result[column], rtol=0, atol=1e-12 * scale, err_msg=column
         )
+
+
+@pytest.mark.usefixtures("tools")
+@pytest.mark.parametrize("package", ["ecospy", "libcosimpy", "fmpy"])
+def test_the_documented_commands_find_theta(package: str, catalogue: Path, tmp_path: Path) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "masters.md").read_text(encoding="utf-8"), flags=re.S)
+    (code,) = (block for block in blocks if f"from {package}" in block or f"import {package}" in block)
+    for folder in ("fmus", "systems"):
+        (tmp_path / folder).symlink_to(catalogue / folder)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (theta,) = re.findall(r"^\[?(0\.\d+)\]?$", done.stdout, flags=re.M)  # among what libcosim says
+    assert float(theta) == pytest.approx(0.3, abs=1e-6)
 
 
 @pytest.mark.parametrize(
