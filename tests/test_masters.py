@@ -300,11 +300,14 @@ def test_compare_fails_where_the_tools_differ(built: Build, tmp_path: Path) -> N
     assert "other.ssp: the tools differ by" in refused(compare(other, "--masters", "fmpy,ecos"), 1)
 
 
-def test_compare_refuses_unknown_and_too_few_masters_in_one_line(built: Build, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("tools")
+def test_compare_refuses_what_it_cannot_do_in_one_line(built: Build, tmp_path: Path) -> None:
     path = written(coupled(built), tmp_path)
     assert "there is no master 'ecoss'; did you mean 'ecos'" in refused(compare(path, "--masters", "fmpy,ecoss"), 2)
     for names in ("fmpy", "fmpy,fmpy", "ecos,ecos"):
         assert f"masters '{names}': a comparison needs two" in refused(compare(path, "--masters", names), 2)
+    (tmp_path / "taken").write_text("a file")
+    assert "cannot write to" in refused(compare(path, "--out", tmp_path / "taken"), 2)
     with pytest.raises(ExperimentError, match="needs two"):
         record_all(path, [])
     assert "there is no such file" in refused(compare(tmp_path / "nowhere.ssp"), 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -21,7 +22,9 @@ def record(tool: str, system: Path) -> Recording:
     with tempfile.TemporaryDirectory(prefix="cosim-") as directory:
         recording = Path(directory) / "recording.csv"
         command = [sys.executable, "-m", "cosim.masters", tool, str(system.resolve()), str(recording)]
-        child = subprocess.run(command, capture_output=True, text=True, errors="replace")
+        # What the tool unpacks, and leaves behind when it aborts, goes with the directory.
+        environment = os.environ | {"TMPDIR": directory}
+        child = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace")
         if child.returncode == 0:
             return read_csv(recording)
     words = [line.strip() for line in (child.stdout + child.stderr).splitlines() if line.strip()]
