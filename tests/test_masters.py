@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import subprocess
 import sys
-import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
 import fmpy
 import numpy as np
 import pytest
-from tools import imports, need
-from typer.testing import CliRunner, Result
+from systems import coupled, edited, written
 
 from build_fmus import SYSTEMS
-from cosim.__main__ import app
 from cosim.comparison import LIMIT, MASTERS, differences, largest, record_all
-from cosim.errors import ExperimentError
 from cosim.fmu import Value
 from cosim.master import run
 from cosim.masters import process
 from cosim.masters.experiment import MasterError
-from cosim.ssp import STRUCTURE, write_ssp
 from cosim.system import Element, System
 from fmu_src import export
 from observers.component import Component, Port
@@ -36,59 +30,24 @@ from reference_models.plant import plant
 
 Build = Callable[[str], Path]
 ROOT = Path(__file__).parent.parent
-PACKAGES = {"ecos": "ecospy", "libcosim": "libcosimpy"}
+OTHERS = ("ecos", "libcosim")
 
 
-@pytest.fixture(scope="session")
-def tools() -> None:
-    """The other tools are installed."""
-    for name, package in PACKAGES.items():
-        need(imports(package), f"{name} is not installed here: see docs/masters.md")
-
-
-def coupled(
-    built: Build, plant: Mapping[str, Value] | None = None, toy: Mapping[str, Value] | None = None, **options: float
-) -> System:
-    """A noisy plant that drives a sampled component."""
-    noise = {"sensor.noise_bound": 0.1, "sensor.sample_time": 0.1}
-    elements = {
-        "plant": Element(built("duffing"), noise | dict(plant or {})),
-        "toy": Element(built("sampled_toy"), dict(toy or {})),
-    }
-    return System("coupled", elements, [("plant.y", "toy.y")], stop=options.get("stop", 5.0), step=0.1)
-
-
-def written(system: System, folder: Path) -> Path:
-    path = folder / f"{system.name}.ssp"
-    write_ssp(system, path)
-    return path
-
-
-def edited(path: Path, edit: Callable[[str], str], name: str) -> Path:
-    """A copy of the .ssp file whose SystemStructure.ssd went through `edit`."""
-    target = path.with_name(f"{name}.ssp")
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(target, "w") as archive:
-        for member in source.namelist():
-            content = source.read(member)
-            archive.writestr(member, edit(content.decode()) if member == STRUCTURE else content)
-    return target
-
-
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_every_system_of_the_catalogue_gives_the_same_numbers_in_every_tool(name: str, catalogue: Path) -> None:
     recordings = record_all(catalogue / "systems" / f"{name}.ssp", MASTERS)
     reference = recordings["fmpy"]
     kinds = run(catalogue / "systems" / f"{name}.ssp").kinds
-    for tool in PACKAGES:
+    for tool in OTHERS:
         found = differences(reference, recordings[tool])
         assert largest(found) <= LIMIT, found
         missing = {column for column, value in found.items() if value is None}
         assert missing == {column for column, kind in kinds.items() if kind == "Enumeration"}
 
 
-@pytest.mark.usefixtures("tools")
-@pytest.mark.parametrize("tool", PACKAGES)
+@pytest.mark.usefixtures("other_masters")
+@pytest.mark.parametrize("tool", OTHERS)
 @pytest.mark.parametrize(
     ("element", "values"),
     [
@@ -113,7 +72,7 @@ def test_a_parameter_binding_that_differs_from_the_default_is_applied(
     assert largest(differences(without, with_binding[tool])) > 1e-3
 
 
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 def test_libcosim_runs_from_a_start_time_and_ecos_says_that_it_cannot(built: Build, tmp_path: Path) -> None:
     system = System("late", {"plant": Element(built("duffing"))}, start=10.0, stop=15.0, step=0.1)
     path = written(system, tmp_path)
@@ -124,7 +83,7 @@ def test_libcosim_runs_from_a_start_time_and_ecos_says_that_it_cannot(built: Bui
         process.record("ecos", path)
 
 
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 def test_a_tool_that_ends_its_process_is_a_message(built: Build, tmp_path: Path) -> None:
     path = written(coupled(built, toy={"tuning.mode": 2}), tmp_path)
     with pytest.raises(MasterError, match=r"libcosim: the process ended by SIGABRT: .*Enumeration type"):
@@ -133,7 +92,7 @@ def test_a_tool_that_ends_its_process_is_a_message(built: Build, tmp_path: Path)
         process.record("ecos", path)
 
 
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 def test_libcosim_stops_where_an_fmu_fails_and_ecos_goes_on_with_the_last_values(built: Build, tmp_path: Path) -> None:
     path = written(System("doomed", {"growing": Element(built("growing_toy"))}, stop=3.0, step=0.1), tmp_path)
     with pytest.raises(MasterError, match=r"libcosim: .*the state is not finite after the step from t = 1\.3 to 1\.4"):
@@ -142,7 +101,7 @@ def test_libcosim_stops_where_an_fmu_fails_and_ecos_goes_on_with_the_last_values
     assert len(z) == 31 and z[12] < z[13] and np.all(z[13:] == z[13])
 
 
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 def test_ecos_applies_only_the_parameter_set_that_it_is_told_by_name(built: Build, tmp_path: Path) -> None:
     path = written(coupled(built, {"start.x1": 1.25}), tmp_path)
     other = edited(path, lambda text: text.replace('"initialValues"', '"other"'), "other")
@@ -151,7 +110,7 @@ def test_ecos_applies_only_the_parameter_set_that_it_is_told_by_name(built: Buil
     assert recordings["ecos"]["plant.x.x1"][0] == DUFFING.states[0].start != 1.25
 
 
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 def test_ecos_and_libcosim_ignore_parameters_bound_at_the_system(built: Build, tmp_path: Path) -> None:
     system = System("alone", {"plant": Element(built("duffing"), {"start.x1": 1.25})}, stop=1.0, step=0.1)
 
@@ -181,7 +140,7 @@ def gain() -> Component:
     )
 
 
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 def test_direct_feedthrough_comes_one_step_late_in_ecos_and_libcosim(built: Build, tmp_path: Path) -> None:
     elements = {"plant": Element(built("duffing")), "gain": Element(export(gain(), tmp_path))}
     system = System("loop", elements, [("plant.y", "gain.y"), ("gain.u", "plant.u")], stop=5.0, step=0.1)
@@ -189,7 +148,7 @@ def test_direct_feedthrough_comes_one_step_late_in_ecos_and_libcosim(built: Buil
     at_once, late = (delayed_loop(delay) for delay in (0, 1))
     assert np.abs(at_once - late).max() > 0.01
     np.testing.assert_allclose(recordings["fmpy"]["plant.y"], at_once, rtol=1e-12)
-    for tool in PACKAGES:
+    for tool in OTHERS:
         np.testing.assert_allclose(recordings[tool]["plant.y"], late, rtol=1e-12)
 
 
@@ -229,7 +188,7 @@ def test_an_observer_driven_by_fmpy_alone_gives_the_masters_numbers(
         )
 
 
-@pytest.mark.usefixtures("tools")
+@pytest.mark.usefixtures("other_masters")
 @pytest.mark.parametrize("package", ["ecospy", "libcosimpy", "fmpy"])
 def test_the_documented_commands_find_theta(package: str, catalogue: Path, tmp_path: Path) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "masters.md").read_text(encoding="utf-8"), flags=re.S)
@@ -241,82 +200,3 @@ def test_the_documented_commands_find_theta(package: str, catalogue: Path, tmp_p
     assert done.returncode == 0, done.stderr
     (theta,) = re.findall(r"^\[?(0\.\d+)\]?$", done.stdout, flags=re.M)  # among what libcosim says
     assert float(theta) == pytest.approx(0.3, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "expected"),
-    [
-        ([1.0, -4.0], [1.0, -4.0], 0.0),
-        ([1.0, -4.0], [1.5, -4.0], 0.125),
-        ([0.0, 0.0], [0.0, 1e-9], 1.0),
-        ([0.0, np.nan, np.inf], [0.0, np.nan, np.inf], 0.0),
-        ([2.0, np.nan], [2.5, np.nan], 0.2),
-        ([2.0, np.nan], [2.0, 1.0], np.inf),
-        ([2.0, np.inf], [2.0, -np.inf], np.inf),
-        ([1.0, 2.0], [1.0], np.inf),
-    ],
-)
-def test_a_difference_is_relative_to_the_columns_largest_value(a: list[float], b: list[float], expected: float) -> None:
-    assert differences({"v": np.array(a)}, {"v": np.array(b)}) == {"v": expected}
-
-
-def test_a_column_that_a_tool_lacks_is_no_difference_but_named() -> None:
-    found = differences({"v": np.ones(2), "w": np.ones(2)}, {"w": np.ones(2)})
-    assert found == {"v": None, "w": 0.0} and largest(found) == 0.0
-
-
-def compare(*arguments: object) -> Result:
-    return CliRunner().invoke(app, ["compare", *(str(a) for a in arguments)])
-
-
-def refused(result: Result, code: int) -> str:
-    assert result.exit_code == code, result.output
-    (line,) = result.stderr.strip().splitlines()
-    assert line.startswith("error: ")
-    return line
-
-
-@pytest.mark.usefixtures("tools")
-def test_compare_prints_each_variable_and_writes_what_each_tool_recorded(built: Build, tmp_path: Path) -> None:
-    path = written(coupled(built), tmp_path)
-    result = compare(path, "--out", tmp_path / "out")
-    assert result.exit_code == 0, result.output
-    for row in (
-        r"plant\.y\W+0\W+0\W",
-        r"toy\.diagnostics\.status\W+not recorded\W+not recorded",
-        r"largest\W+[\d.e-]+",
-    ):
-        assert re.search(row, result.stdout), row
-    for tool in MASTERS:
-        with (tmp_path / "out" / f"{tool}.csv").open() as file:
-            rows = list(csv.reader(file))
-        assert rows[0][:2] == ["time", "plant.y"] and len(rows) == 52
-
-
-@pytest.mark.usefixtures("tools")
-def test_compare_fails_where_the_tools_differ(built: Build, tmp_path: Path) -> None:
-    path = written(coupled(built, {"start.x1": 1.25}), tmp_path)
-    other = edited(path, lambda text: text.replace('"initialValues"', '"other"'), "other")
-    assert "other.ssp: the tools differ by" in refused(compare(other, "--masters", "fmpy,ecos"), 1)
-
-
-@pytest.mark.usefixtures("tools")
-def test_compare_refuses_what_it_cannot_do_in_one_line(built: Build, tmp_path: Path) -> None:
-    path = written(coupled(built), tmp_path)
-    assert "there is no master 'ecoss'; did you mean 'ecos'" in refused(compare(path, "--masters", "fmpy,ecoss"), 2)
-    for names in ("fmpy", "fmpy,fmpy", "ecos,ecos"):
-        assert f"masters '{names}': a comparison needs two" in refused(compare(path, "--masters", names), 2)
-    (tmp_path / "taken").write_text("a file")
-    assert "cannot write to" in refused(compare(path, "--out", tmp_path / "taken"), 2)
-    with pytest.raises(ExperimentError, match="needs two"):
-        record_all(path, [])
-    assert "there is no such file" in refused(compare(tmp_path / "nowhere.ssp"), 2)
-
-
-def test_a_tool_that_is_not_installed_is_named_in_one_line(
-    built: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "ecospy.py").write_text("raise ImportError('libtbb.so.12: cannot open shared object file')")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
-    line = refused(compare(written(coupled(built), tmp_path), "--masters", "fmpy,ecos"), 1)
-    assert "ecos: not installed here (libtbb.so.12" in line and "docs/masters.md" in line

@@ -1,7 +1,7 @@
 """libcosim of the Open Simulation Platform (PyPI: libcosimpy) runs an .ssp file.
 
 libcosim knows no enumerations: outputs of that type are left out, and an enumeration as a connector ends the process. Its
-times are whole nanoseconds; the step size is the one that our .ssp files carry as its annotation.
+times and steps are whole nanoseconds.
 """
 
 from __future__ import annotations
