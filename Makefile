@@ -4,16 +4,20 @@ BIN := $(VENV)/bin
 
 DEMO := gong_example_1 gong_example_1_spline gong_example_2 gong_example_3a gong_example_3b
 
-# In CI the tests that take longer run too.
+# In CI the tests that take longer run too, and those that need other tools, which CI installs: no test skips there.
 MARKED := $(if $(CI),,-m "not long")
+COMMA := ,
+EXTRAS := test$(if $(CI),$(COMMA)masters)
+READY := $(VENV)/ready$(if $(CI),-ci)
+AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
-.PHONY: demo test bench setup clean
+.PHONY: demo test bench setup ci-tools clean
 
 demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
 	$(BIN)/python demo.py
 
-test: setup ## set up, lint, check types, run the tests
+test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -24,12 +28,17 @@ bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.linear_gain
 
-setup: $(VENV)/ready
+setup: $(READY)
 
-$(VENV)/ready: pyproject.toml
+$(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --disable-pip-version-check -e ".[test]"
+	$(BIN)/python -m pip install --disable-pip-version-check -e ".[$(EXTRAS)]"
 	touch $@
+
+ci-tools: ## Debian packages: wine runs the Windows binaries, Ecos needs libtbb12
+	test -x /usr/lib/wine/wine64 -a -n "$$(/sbin/ldconfig -p | grep -F libtbb.so.12)" || { \
+	    $(AS_ROOT) apt-get update && \
+	    $(AS_ROOT) apt-get install --yes --no-install-recommends wine64 wine libtbb12; }
 
 clean:
 	rm -rf $(VENV) .cache fmus systems results build

@@ -11,6 +11,7 @@ from rich.table import Table as ConsoleTable
 from rich.text import Text
 
 from cosim.command_campaign import campaign
+from cosim.command_compare import compare
 from cosim.command_replay import replay
 from cosim.console import Assignments, fail, late_progress, out, split_assignments
 from cosim.errors import ExperimentError, SystemFileError
@@ -28,6 +29,7 @@ app = typer.Typer(
 )
 
 app.command("campaign")(campaign)
+app.command("compare")(compare)
 app.command("replay")(replay)
 
 

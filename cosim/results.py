@@ -65,18 +65,22 @@ class Result:
 
 def write_csv(result: Result, path: Path) -> None:
     """Write `time` and all columns; doubles in the shortest form that reads back exactly."""
-    columns: list[list[float] | list[int]] = [result.time.tolist()]
-    for name in result.names:
-        column = result[name]
-        columns.append(column.tolist() if result.kinds[name] == "Real" else column.astype(int).tolist())
+    columns = {
+        name: result[name] if result.kinds[name] == "Real" else result[name].astype(int) for name in result.names
+    }
+    write_columns({"time": result.time, **columns}, path)
+
+
+def write_columns(columns: Mapping[str, np.ndarray], path: Path) -> None:
+    """Write columns (n,) by name, `time` first."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("time", *result.names))
-        writer.writerows(zip(*columns, strict=True))
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
 
 def read_csv(path: Path) -> dict[str, np.ndarray]:
-    """The columns (n,) of a file that `write_csv` made, `time` included, by name.
+    """The columns (n,) of a file that `write_columns` made, `time` included, by name.
 
     Raises:
         ValueError: not such a file; the message names the file and what is wrong.

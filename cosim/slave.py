@@ -28,6 +28,9 @@ except OSError:  # fmpy has no such library for this platform: messages then kee
 STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 # The name by which an FMU's functions know a variable's type.
 FMI_KIND = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean", "String": "String"}
+# The folders in `binaries/` to look into, the first best. FMI 2.0.4, 2.3: "64" means x86, any other processor has FMI 3.0's
+# tuple; many tools put aarch64 binaries under the names for x86 nevertheless.
+PLATFORMS = (fmpy.platform_tuple, fmpy.platform) if fmpy.architecture == "aarch64" else (fmpy.platform,)
 _WORTH_LOGGING = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending")
 _ACCESS = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
 _DO_STEP = (ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
@@ -82,18 +85,23 @@ class Slave:
         self._messages = messages
         self._dead = False
         identifier = description.coSimulation.modelIdentifier
-        platforms = directory / "binaries"
-        library = platforms / fmpy.platform / f"{identifier}{fmpy.sharedLibraryExtension}"
-        if not library.is_file():
-            found = ", ".join(sorted(p.name for p in platforms.glob("*"))) or "none"
-            raise RunError(name, start, f"the FMU has no binary for {fmpy.platform}; it has: {found}")
+        binaries = directory / "binaries"
+        candidates = [binaries / folder / f"{identifier}{fmpy.sharedLibraryExtension}" for folder in PLATFORMS]
+        library = next((path for path in candidates if path.is_file()), None)
+        if library is None:
+            found = ", ".join(sorted(p.name for p in binaries.glob("*"))) or "none"
+            raise RunError(name, start, f"the FMU has no binary for {' or '.join(PLATFORMS)}; it has: {found}")
         try:
             with (
                 _loading,
                 contextlib.chdir(os.getcwd()),
             ):  # fmpy leaves the working directory changed when loading fails
                 self._fmu = fmi2.FMU2Slave(
-                    guid=description.guid, unzipDirectory=str(directory), modelIdentifier=identifier, instanceName=name
+                    guid=description.guid,
+                    unzipDirectory=str(directory),
+                    modelIdentifier=identifier,
+                    instanceName=name,
+                    libraryPath=str(library),
                 )
         except Exception as error:  # fmpy raises no narrower type
             raise RunError(name, start, str(error)) from error

@@ -17,6 +17,7 @@ from fmpy.fmi2 import (
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
 )
+from tools import imports, need
 from toys import draining_toy, feedthrough_toy, growing_toy, sampled_toy
 
 from build_fmus import build, choose
@@ -200,3 +201,10 @@ def catalogue_slave(catalogue: Path, tmp_path_factory: pytest.TempPathFactory) -
     for instance in made:
         instance.fmu.freeInstance()
         assert not instance.blocks
+
+
+@pytest.fixture(scope="session")
+def other_masters() -> None:
+    """Ecos and libcosim are installed."""
+    for name, package in (("ecos", "ecospy"), ("libcosim", "libcosimpy")):
+        need(imports(package), f"{name} is not installed here: see docs/masters.md")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
 from toys import sampled_toy
 
+import cosim.slave
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master import run
 from cosim.results import read_csv, write_csv
@@ -252,6 +256,26 @@ def test_an_fmu_without_a_binary_for_this_platform_is_named(built: Build, tmp_pa
         target.writestr("binaries/riscv/duffing.so", b"")
     with pytest.raises(RunError, match=r"element 'plant' at t = 0: the FMU has no binary for .*; it has: riscv"):
         run(System("bare", {"plant": Element(bare)}))
+
+
+@pytest.mark.skipif(fmpy.platform != "linux64", reason="moves this machine's binary about")
+@pytest.mark.parametrize("folder", ["aarch64-linux", "linux64"])
+def test_on_aarch64_the_folder_that_the_standard_names_comes_first_and_the_usual_one_then(
+    folder: str, built: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = (
+        "import platform; platform.machine = lambda: 'aarch64'; from cosim.slave import PLATFORMS; print(*PLATFORMS)"
+    )
+    shown = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True).stdout.split()
+    assert shown == [f"aarch64-{fmpy.system}", fmpy.platform]
+    monkeypatch.setattr(cosim.slave, "PLATFORMS", ("aarch64-linux", "linux64"))
+    fmu = tmp_path / "duffing.fmu"
+    with zipfile.ZipFile(built("duffing")) as source, zipfile.ZipFile(fmu, "w") as target:
+        target.writestr("modelDescription.xml", source.read("modelDescription.xml"))
+        works = source.read("binaries/linux64/duffing.so")
+        for name, content in {"linux64": b"not for this processor", folder: works}.items():
+            target.writestr(f"binaries/{name}/duffing.so", content)
+    assert len(run(System("arm", {"plant": Element(fmu)}, stop=1.0, step=0.1)).time) == 11
 
 
 def test_a_binary_that_is_none_and_a_foreign_guid_are_failures_of_the_element(built: Build, tmp_path: Path) -> None:

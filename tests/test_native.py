@@ -204,12 +204,45 @@ def test_an_interrupted_write_leaves_the_old_fmu_and_no_half_one(
     assert path.read_bytes() == before
 
 
+# What a library's header says of its processor: ELF's e_machine, PE's Machine, Mach-O's cputype.
+PROCESSORS = {
+    "linux64": b"\x3e\x00",
+    "win64": b"\x64\x86",
+    "darwin64": b"\x07\x00\x00\x01",
+    "aarch64-linux": b"\xb7\x00",
+    "aarch64-darwin": b"\x0c\x00\x00\x01",
+}
+
+
+def processor(content: bytes) -> bytes:
+    """The field of PROCESSORS in a shared library of one of the three formats."""
+    if content.startswith(b"\x7fELF"):
+        return content[18:20]
+    if content.startswith(b"MZ"):
+        header = int.from_bytes(content[0x3C:0x40], "little")
+        assert content[header : header + 4] == b"PE\0\0"
+        return content[header + 4 : header + 6]
+    assert content.startswith(b"\xcf\xfa\xed\xfe")
+    return content[4:8]
+
+
 @pytest.mark.long
-def test_all_platforms_compile_reproducibly(tmp_path: Path) -> None:
+def test_one_fmu_holds_every_platform_and_the_sources_and_compiles_reproducibly(tmp_path: Path) -> None:
     paths = [export(growing_toy(), tmp_path / name, platforms=("all",)) for name in ("one", "two")]
     assert paths[0].read_bytes() == paths[1].read_bytes()
     with zipfile.ZipFile(paths[0]) as archive:
-        binaries = {name: archive.read(name)[:4] for name in archive.namelist() if name.startswith("binaries/")}
-    assert {name.split("/")[1] for name in binaries} == set(PLATFORMS)
-    starts = {".so": b"\x7fELF", ".dll": b"MZ", ".dylib": b"\xcf\xfa\xed\xfe"}
-    assert all(head.startswith(starts[Path(name).suffix]) for name, head in binaries.items())
+        binaries = {name.split("/")[1]: name for name in archive.namelist() if name.startswith("binaries/")}
+        folder = Path(archive.extract("modelDescription.xml", tmp_path)).parent
+        archive.extractall(folder)
+    assert set(binaries) == set(PLATFORMS) == set(PROCESSORS)
+    wanted = cosimulation_functions()
+    for platform, name in binaries.items():
+        assert Path(name).stem == "growing_toy"
+        content = (folder / name).read_bytes()
+        assert Path(name).suffix == PLATFORMS[platform].suffix
+        assert processor(content) == PROCESSORS[platform], platform
+        assert all(function.encode() + b"\0" in content for function in wanted), platform
+    exported, needed, versions = elf(str(folder / binaries["aarch64-linux"]))
+    assert exported == wanted and max(versions) <= (2, 17)
+    assert needed <= {"libc.so.6", "libm.so.6", "ld-linux-aarch64.so.1"}
+    assert {path.name for path in (folder / "sources").glob("*.c")} >= {"functions.c", "component.c", "stepping.c"}

@@ -1,0 +1,28 @@
+"""Tools that the tests need and that a machine may lack: there the tests skip, but never in CI."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DEBIANS_WINE = "/usr/lib/wine/wine64"  # which puts no name on PATH
+WINE = DEBIANS_WINE if Path(DEBIANS_WINE).is_file() else shutil.which("wine64")
+
+
+def need(found: bool, reason: str) -> None:
+    """Skip the test with `reason` where a tool is not found; in CI, which installs all of them, fail."""
+    if found:
+        return
+    if os.environ.get("CI"):
+        pytest.fail(f"CI skips nothing: {reason}")
+    pytest.skip(reason)
+
+
+def imports(package: str) -> bool:
+    """Whether the package can be imported, in a process that it may end."""
+    return subprocess.run([sys.executable, "-c", f"import {package}"], capture_output=True).returncode == 0
