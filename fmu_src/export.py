@@ -75,15 +75,16 @@ def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[s
 def _python(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
     """GUID and contents by path."""
     folders = [name for name in resolve(platforms) if name in python_target.LIBRARIES or "all" not in platforms]
+    resources = python_target.resources(component)
     without_guid = {
-        **python_target.resources(component),
+        **resources,
         **python_target.relay(component, guid=""),
         "modelDescription.xml": describe(component, guid="", capabilities=python_target.CAPABILITIES),
     }
     guid = _content_guid(without_guid)
     return guid, {
         "modelDescription.xml": describe(component, guid, capabilities=python_target.CAPABILITIES),
-        **python_target.resources(component, guid),
+        **resources,
         **python_target.binaries(component, guid, folders),
         "documentation/licenses/pythonfmu.txt": python_target.license_text(),
     }

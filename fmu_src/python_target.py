@@ -53,7 +53,7 @@ PLAIN = (
 )
 
 
-def resources(component: Component, guid: str = "") -> dict[str, bytes]:
+def resources(component: Component) -> dict[str, bytes]:
     """What the slave reads and imports, by path in the FMU: modules, functions, and the rest of the component as JSON.
 
     Raises:
@@ -64,15 +64,15 @@ def resources(component: Component, guid: str = "") -> dict[str, bytes]:
     return {
         **{f"resources/{name}": content for name, content in modules.items()},
         **{f"resources/{name}.casadi": _serialised(component, name) for name in component.functions},
-        "resources/component.json": _fields(component, guid),
+        "resources/component.json": _fields(component),
         "resources/slavemodule.txt": slave.removesuffix(".py").encode(),
     }
 
 
-def _fields(component: Component, guid: str) -> bytes:
+def _fields(component: Component) -> bytes:
     fields = {name: getattr(component, name) for name in PLAIN}
     fields |= {group: [dataclasses.asdict(port) for port in getattr(component, group)] for group in PORTS}
-    return json.dumps({"guid": guid, **fields}, indent=1).encode()
+    return json.dumps(fields, indent=1).encode()
 
 
 def _serialised(component: Component, name: str) -> bytes:

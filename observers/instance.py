@@ -109,7 +109,7 @@ class Instance:
         if not (math.isfinite(h) and h > 0):
             raise ValueError(f"{component.name}: step size h = {h:g} must be positive")
         if not abs(t - self.time) <= self._tolerance(self.time):
-            raise ValueError(f"{component.name}: step from t = {t:.17g}, but the current time is {self.time:.17g}")
+            raise ValueError(f"{component.name}: step from t = {t:.15g}, but the current time is {self.time:.15g}")
         if component.samples_inputs and ts > 0 and h > ts * (1 + SNAP):
             raise ValueError(f"{component.name}: step size h = {h:g} exceeds the sample time {ts:g}")
         end = self._snap(t + h)
@@ -119,11 +119,11 @@ class Instance:
             )
         if not (end >= self.time and math.isfinite(end)):
             raise ValueError(
-                f"{component.name}: a step to t = {end:.17g} is impossible from the current time {self.time:.17g}"
+                f"{component.name}: a step to t = {end:.15g} is impossible from the current time {self.time:.15g}"
             )
         if ts > 0 and RESOLUTION * abs(end) > COARSE * ts:
             raise ValueError(
-                f"{component.name}: at t = {end:.17g} times are exact to {RESOLUTION * abs(end):.2g} s only, "
+                f"{component.name}: at t = {end:.15g} times are exact to {RESOLUTION * abs(end):.2g} s only, "
                 f"too coarse for the sample time {ts:g}"
             )
         now, z, ticks, slack = self.time, self.z, self.ticks, self._tolerance(end)
