@@ -84,7 +84,7 @@ def motor_controller() -> Component:
             Variable("min", "smallest output", "1/s", MOTOR.inputs[0].min),
             Variable("max", "largest output", "1/s", MOTOR.inputs[0].max),
         ],
-        stop_time=6.0,
+        stop_time=10.0,
         step_size=MOTOR_SAMPLE_TIME,
     )
 
@@ -116,7 +116,7 @@ def _duffing_filter() -> Component:
 
 
 def _motor_observer() -> Component:
-    return nikoukhah(MOTOR, sample_time=MOTOR_SAMPLE_TIME, guess=nikoukhah_1995.GUESS, stop_time=6.0)
+    return nikoukhah(MOTOR, sample_time=MOTOR_SAMPLE_TIME, guess=nikoukhah_1995.GUESS, stop_time=10.0)
 
 
 FMUS: dict[str, Source] = {
@@ -159,7 +159,7 @@ FMUS: dict[str, Source] = {
 }
 
 _NOISY_DUFFING = {**gong_2007.START, "sensor.noise_bound": 0.01, "sensor.sample_time": DUFFING_SAMPLE_TIME}
-_NOISY_MOTOR = {"sensor.noise_bound": 1e-4, "sensor.sample_time": MOTOR_SAMPLE_TIME}
+_NOISY_MOTOR = {"sensor.noise_bound": 0.01, "sensor.sample_time": MOTOR_SAMPLE_TIME}
 
 
 def _loop(plant: str, observer: str, *outputs: str) -> tuple[tuple[str, str], ...]:
@@ -198,7 +198,7 @@ SYSTEMS: dict[str, Recipe] = {
         "The motor held at an angle: by the DAE observer, by the true state",
         {"plant": "motor", "observer": "motor_nikoukhah_controller", "plant_true": "motor_with_controller"},
         {"plant": _NOISY_MOTOR},
-        6.0,
+        10.0,
         MOTOR_SAMPLE_TIME,
         _loop("plant", "observer", "y1", "y2"),
     ),
@@ -206,7 +206,7 @@ SYSTEMS: dict[str, Recipe] = {
         "The same with the controller as an FMU of its own, which has direct feedthrough",
         {"plant": "motor", "observer": "motor_nikoukhah", "controller": "motor_controller"},
         {"plant": _NOISY_MOTOR},
-        6.0,
+        10.0,
         MOTOR_SAMPLE_TIME,
         (
             ("plant.y1", "observer.y1"),
