@@ -35,8 +35,7 @@ For any other platform <code>sources/</code> holds everything: it is C99 with th
 <code>cc -std=c99 -O2 -ffp-contract=off -fPIC -fvisibility=hidden -shared *.c -lm</code>.""",
     "python": """<h2>Binaries and resources</h2>
 <p><code>resources/</code> holds the component as serialised CasADi functions and <code>component.json</code>, and the modules
-that run it. Under <code>binaries/</code> PythonFMU's library stands beside a small one that relays the calls to it.
-<code>fmi2SetRealInputDerivatives</code> is not supported.""",
+that run it. Under <code>binaries/</code> PythonFMU's library stands beside a small one that relays the calls to it.""",
 }
 
 _FAILURES = (

@@ -24,6 +24,7 @@ from observers.component import Component, Enumeration, Port, bounds
 from observers.instance import Instance
 
 INTEGERS = range(-(2**31), 2**31)  # fmi2Integer
+DERIVATIVES = 0x40000000  # value references from here on: derivatives of the inputs, between relay and slave
 INSTANTIATED, INITIALIZATION, STEP_COMPLETE, TERMINATED = range(4)
 LIFECYCLES = ("instantiated", "in initialization mode", "initialized", "terminated")
 SETTABLE = (INSTANTIATED, INITIALIZATION, STEP_COMPLETE)
@@ -86,6 +87,7 @@ class ComponentSlave(Fmi2Slave):
         self.values = np.array([0.0 if self.is_output(k) else port.start for k, port in enumerate(self.ports)])
         self.counters = [self.first_output + [port.name for port in c.outputs].index(name) for name in c.counters]
         self.counts = np.zeros(len(self.counters))
+        self.derivatives = np.zeros(self.first_parameter)  # of the inputs, within the next step
         self.t0, self.stop = 0.0, math.inf
         self.run: Instance | None = None  # none until the start state is asked for; anew whenever a start value changes
         self.stale_outputs = True
@@ -154,7 +156,7 @@ class ComponentSlave(Fmi2Slave):
         self.allow("fmi2DoStep", (STEP_COMPLETE,))
         run = self.started()
         before = run.z, run.time, run.ticks
-        run.step(current_time, step_size)
+        run.step(current_time, step_size, self.derivatives)
         self.stale_outputs = True
         if self.counters:
             try:
@@ -163,6 +165,7 @@ class ComponentSlave(Fmi2Slave):
                 run.z, run.time, run.ticks = before
                 raise
             self._warn_of_counters(run.time)
+        self.derivatives[:] = 0
         return True
 
     def _warn_of_counters(self, time: float) -> None:
@@ -204,6 +207,9 @@ class ComponentSlave(Fmi2Slave):
     def _set(self, function: str, references: Sequence[int], values: Sequence[float], kind: str) -> None:
         """Every entry is checked before the first is written: a refused call changes nothing."""
         self.allow(function, SETTABLE)
+        if any(reference >= DERIVATIVES for reference in references):
+            self.derivatives[np.array(references) - DERIVATIVES] = values
+            return
         for reference, value in zip(references, values, strict=True):
             self._check(function, reference, value, kind)
         for reference, value in zip(references, values, strict=True):
@@ -289,19 +295,20 @@ class ComponentSlave(Fmi2Slave):
             self.t0 if run is None else run.time,
         )
         z = np.zeros(self.component.n_z) if run is None else run.z
-        return clock + np.concatenate([self.values[: self.first_output], self.counts, z]).tobytes()
+        return clock + np.concatenate([self.values[: self.first_output], self.derivatives, self.counts, z]).tobytes()
 
     @answering(lambda *_: None)
     def _set_fmu_state(self, state: bytes) -> None:
-        sizes = (self.first_output, len(self.counts), self.component.n_z)
+        sizes = (self.first_output, len(self.derivatives), len(self.counts), self.component.n_z)
         lifecycle, ticks, t0, stop, time = CLOCK.unpack_from(state)
-        known, counts, z = np.split(np.frombuffer(state, dtype=float, offset=CLOCK.size), np.cumsum(sizes)[:-1])
+        numbers = np.frombuffer(state, dtype=float, offset=CLOCK.size).copy()
+        known, derivatives, counts, z = np.split(numbers, np.cumsum(sizes)[:-1])
         run = None
         if ticks >= 0:
             run = self._start(known, t0, stop)
-            run.z, run.ticks, run.time = z.copy(), ticks, time
+            run.z, run.ticks, run.time = z, ticks, time
         self.lifecycle, self.t0, self.stop, self.counts, self.run = lifecycle, t0, stop, counts, run
-        self.values[: self.first_output] = known
+        self.derivatives, self.values[: self.first_output] = derivatives, known
         self.stale_outputs = True
 
     @staticmethod

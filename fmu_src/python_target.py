@@ -35,7 +35,6 @@ LIBRARIES = {
 # Attributes of CoSimulation that differ from the native FMU's.
 CAPABILITIES = {
     "needsExecutionTool": "true",  # a Python with casadi and numpy
-    "canInterpolateInputs": "false",  # PythonFMU hands no input derivatives on
     "canNotUseMemoryManagementFunctions": "true",  # the memory is Python's
 }
 # The component's attributes that are neither ports nor functions.
@@ -114,10 +113,11 @@ def _observers() -> dict[str, str]:
 
 
 def relay(component: Component, guid: str) -> dict[str, bytes]:
-    """The C sources of the relay, which knows its model's name and GUID; by file name."""
+    """The C sources of the relay, which knows the FMU's name, GUID and inputs; by file name."""
     fixed = {entry.name: entry.read_bytes() for entry in (files("fmu_src") / "relay").iterdir()}
     headers = {name: (files("fmpy") / "c-code" / name).read_bytes() for name in FMI_HEADERS}
-    named = f"#define MODEL {json.dumps(component.name)}\n#define GUID {json.dumps(guid)}\n"
+    names = "".join(f"{json.dumps(port.name)}, " for port in component.inputs)
+    named = f"#define MODEL {json.dumps(component.name)}\n#define GUID {json.dumps(guid)}\n#define INPUTS {names}\n"
     return {**fixed, **headers, "identity.h": named.encode()}
 
 

@@ -97,8 +97,10 @@ class Instance:
         """All outputs at the current time, in the component's order."""
         return self._evaluate["output"](self.z, self.u, self.p, self.time)
 
-    def step(self, t: float, h: float) -> None:
+    def step(self, t: float, h: float, derivatives: np.ndarray | float = 0.0) -> None:
         """From t to t + h: every sample instant in [t, t + h) jumps with the inputs set before, then the state flows to t + h.
+
+        `derivatives` of the inputs (n_u) [their units per s] extrapolate them linearly within this step.
 
         Raises:
             ValueError: t is not the current time, h is not positive or exceeds the sample time of a component that samples
@@ -132,7 +134,7 @@ class Instance:
             due = tick < end - slack
             if due and tick <= now + slack:
                 if component.jump is not None:
-                    z = self._evaluate["jump"](z, self.u, self.p, tick)
+                    z = self._evaluate["jump"](z, self._inputs(derivatives, tick), self.p, tick)
                 ticks += 1
                 continue
             until = tick if due else end
@@ -140,7 +142,7 @@ class Instance:
                 if now + 1 / NANOSECONDS < instant < until - 1 / NANOSECONDS:
                     until = instant
                     break
-            z = self._flow(z, now, until)
+            z = self._flow(z, now, until, derivatives)
             now = until
             if not due and until == end:
                 break
@@ -156,12 +158,17 @@ class Instance:
             )
         self.time, self.z, self.ticks = end, z, ticks
 
-    def _flow(self, z: np.ndarray, start: float, end: float) -> np.ndarray:
+    def _flow(self, z: np.ndarray, start: float, end: float, derivatives: np.ndarray | float) -> np.ndarray:
         substeps = max(1, math.ceil((end - start) / self.component.max_step - SNAP))
         h = (end - start) / substeps
         for i in range(substeps):
-            z = self._evaluate["flow"](z, self.u, self.p, start + i * h, h)
+            t = start + i * h
+            z = self._evaluate["flow"](z, self._inputs(derivatives, t + h / 2), self.p, t, h)
         return z
+
+    def _inputs(self, derivatives: np.ndarray | float, t: float) -> np.ndarray:
+        """The inputs at time t within the step."""
+        return self.u + derivatives * (t - self.time) if np.any(derivatives) else self.u
 
     def _tolerance(self, t: float) -> float:
         """How far two times at about t may lie apart and still be the same."""

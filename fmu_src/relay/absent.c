@@ -3,23 +3,20 @@
 
 #include "relay.h"
 
-static fmi2Status not_supported(Instance *self, const char *function)
+static fmi2Status not_supported(Instance *self, const char *function, const char *attribute)
 {
-    return self ? refuse(self, function, "is not supported by this FMU, as its model description says") : fmi2Error;
-}
-
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
-                                       const fmi2Integer order[], const fmi2Real value[])
-{
-    (void)vr, (void)nvr, (void)order, (void)value;
-    return not_supported(c, "fmi2SetRealInputDerivatives");
+    if (!self)
+        return fmi2Error;
+    char why[128];
+    snprintf(why, sizeof why, "is not supported: the model description says %s", attribute);
+    return refuse(self, function, why);
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[])
 {
     (void)vr, (void)nvr, (void)order, (void)value;
-    return not_supported(c, "fmi2GetRealOutputDerivatives");
+    return not_supported(c, "fmi2GetRealOutputDerivatives", "maxOutputDerivativeOrder=0");
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
@@ -27,7 +24,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         fmi2Real dvUnknown[])
 {
     (void)vUnknown_ref, (void)nUnknown, (void)vKnown_ref, (void)nKnown, (void)dvKnown, (void)dvUnknown;
-    return not_supported(c, "fmi2GetDirectionalDerivative");
+    return not_supported(c, "fmi2GetDirectionalDerivative", "providesDirectionalDerivative=false");
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c)

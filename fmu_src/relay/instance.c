@@ -188,3 +188,34 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
         self->last_time = currentCommunicationPoint + communicationStepSize;
     return status;
 }
+
+/* PythonFMU has no such function: the slave takes the derivative of input k for the value of reference DERIVATIVES + k. */
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                       const fmi2Integer order[], const fmi2Real value[])
+{
+    static const char *const inputs[] = {INPUTS NULL};
+    const size_t n_inputs = sizeof inputs / sizeof inputs[0] - 1;
+    Instance *self = c;
+    char why[512] = "";
+    if (!self)
+        return fmi2Error;
+    if (nvr > 0 && !(vr && order && value))
+        return refuse(self, "fmi2SetRealInputDerivatives", "variables are announced, but a list is a null pointer");
+    for (size_t i = 0; i < nvr && !*why; i++) {
+        if (vr[i] >= n_inputs) /* inputs have the first value references, and all are Real */
+            snprintf(why, sizeof why, "the value reference %u is no input's", vr[i]);
+        else if (order[i] != 1)
+            snprintf(why, sizeof why, "derivative of order %d of %.256s; only order 1 is supported", order[i],
+                     inputs[vr[i]]);
+    }
+    if (*why)
+        return refuse(self, "fmi2SetRealInputDerivatives", why);
+    self->refused = false;
+    for (size_t i = 0; i < nvr; i++) {
+        fmi2ValueReference reference = DERIVATIVES + vr[i];
+        fmi2Status status = answer(self, self->pythonfmu.fmi2SetReal(self->slave, &reference, 1, &value[i]));
+        if (status != fmi2OK)
+            return status;
+    }
+    return fmi2OK;
+}

@@ -41,6 +41,8 @@ typedef struct {
     char name[256];
 } Instance;
 
+#define DERIVATIVES 0x40000000u /* value references from here on: derivatives of the inputs, between relay and slave */
+
 /* messages.c */
 unsigned category_of(const char *name);
 void report(Instance *self, fmi2Status status, Category category, const char *text);
