@@ -62,9 +62,9 @@ def answering(refusal: Callable[..., object]) -> Callable[[Callable[..., Any]], 
             try:
                 return method(self, *arguments)
             except ValueError as error:  # a refused call
-                self.say(str(error), Fmi2Status.error, "logStatusError")
+                self.log(str(error), Fmi2Status.error, "logStatusError")
             except Exception as error:  # a function of the component can fail in any way
-                self.say(f"{type(error).__name__}: {error}", Fmi2Status.error, "logStatusError")
+                self.log(f"{type(error).__name__}: {error}", Fmi2Status.error, "logStatusError")
             return refusal(*arguments)
 
         return answer
@@ -91,10 +91,6 @@ class ComponentSlave(Fmi2Slave):
         self.t0, self.stop = 0.0, math.inf
         self.run: Instance | None = None  # none until the start state is asked for; anew whenever a start value changes
         self.stale_outputs = True
-
-    def say(self, message: str, status: Fmi2Status, category: str) -> None:
-        """Log; importers take the text for a format, in which '%' and '#' are special."""
-        self.log(message.replace("%", "?").replace("#", "?"), status, category)
 
     def is_output(self, reference: int) -> bool:
         return self.first_output <= reference < self.first_constant
@@ -139,7 +135,7 @@ class ComponentSlave(Fmi2Slave):
         self.allow("fmi2ExitInitializationMode", (INITIALIZATION,))
         run = self.started()
         self.lifecycle = STEP_COMPLETE
-        self.say(
+        self.log(
             f"{self.component.name}: initialized at t = {run.t0:.15g}, sample time {run.sample_time:.10g}.",
             Fmi2Status.ok,
             "logEvents",
@@ -149,7 +145,7 @@ class ComponentSlave(Fmi2Slave):
     def terminate(self) -> None:
         self.allow("fmi2Terminate", (STEP_COMPLETE,))
         self.lifecycle = TERMINATED
-        self.say(f"{self.component.name}: terminated at t = {self.started().time:.15g}.", Fmi2Status.ok, "logEvents")
+        self.log(f"{self.component.name}: terminated at t = {self.started().time:.15g}.", Fmi2Status.ok, "logEvents")
 
     @answering(lambda *_: False)
     def do_step(self, current_time: float, step_size: float) -> bool:
@@ -174,7 +170,7 @@ class ComponentSlave(Fmi2Slave):
         for k, count in enumerate(counts):
             if count > self.counts[k]:
                 name = self.ports[self.counters[k]].name
-                self.say(
+                self.log(
                     f"{self.component.name}: {name} rose to {count:.10g} at t = {time:.15g}.",
                     Fmi2Status.warning,
                     "logStatusWarning",

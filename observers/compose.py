@@ -1,9 +1,9 @@
 """An observer and a static feedback as one component, hence one FMU: measurements in, the estimate and u = k(estimate) out.
 
 The feedback acts at the observer's sample instants and is held between them. At t_k the output u_k = k(estimate of t_k), from samples up to
-t_{k-1}, can be read before the step; the jump at t_k takes the same u_k in, and the observer flows with it to t_{k+1}, as the plant does. So
-nothing depends directly on an input, every master runs the loop alike, and since the estimate read at t_k is *of* t_k there is no
-delay beyond the hold.
+t_{k-1}, can be read before the step; the jump at t_k takes the same u_k in, and the observer flows with it to t_{k+1}, as the plant
+does. So nothing depends directly on an input, every master runs the loop alike, and since the estimate read at t_k is *of* t_k there is
+no delay beyond the hold.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def compose(
         name: the component's name; `<observer>_<feedback>` if absent.
 
     Raises:
-        ValueError: the observer has no output that an input of the feedback asks for, or one of another unit; the feedback has states;
-            the observer has no sample time, or one that can be 0; an output of the observer depends directly on an input.
+        ValueError: the observer has no output that an input of the feedback asks for; units differ; the feedback has states; the
+            observer has no sample time, or one that can be 0; an output of the observer depends directly on an input.
     """
     where = f"compose '{observer.name}' with '{feedback.name}'"
     if feedback.n_z or feedback.jump is not None:
@@ -45,6 +45,9 @@ def compose(
     read = [_source(where, observer, source, port) for port in feedback.inputs]
     driven = {port.name: k for k, port in enumerate(feedback.outputs)}
     _check_feedthrough(where, observer, driven)
+    for goal in observer.inputs:
+        if goal.name in driven:
+            _check_units(where, feedback.outputs[driven[goal.name]], goal, f"the observer takes '{goal.name}'")
     free = tuple(port for port in observer.inputs if port.name not in driven)
     n_p = len(observer.parameters)
     parameters = (*observer.parameters, *(replace(port, name=f"feedback.{port.name}") for port in feedback.parameters))
@@ -91,10 +94,14 @@ def _source(where: str, observer: Component, source: str, port: Port) -> int:
     if wanted not in places:
         known = ", ".join(name for name in places if name.startswith(f"{source}.")) or "none"
         raise ValueError(f"{where}: the feedback reads '{wanted}', which the observer does not put out; known: {known}")
-    unit = observer.outputs[places[wanted]].unit
-    if "1" not in (unit, port.unit) and unit != port.unit:
-        raise ValueError(f"{where}: '{wanted}' is in {unit}, but the feedback reads '{port.name}' in {port.unit}")
+    _check_units(where, observer.outputs[places[wanted]], port, f"the feedback reads '{port.name}'")
     return places[wanted]
+
+
+def _check_units(where: str, source: Port, goal: Port, taking: str) -> None:
+    """As between FMUs: nothing converts, and a dimensionless end fits any."""
+    if "1" not in (source.unit, goal.unit) and source.unit != goal.unit:
+        raise ValueError(f"{where}: '{source.name}' is in {source.unit}, but {taking} in {goal.unit}")
 
 
 def _check_feedthrough(where: str, observer: Component, driven: Collection[str]) -> None:

@@ -1,4 +1,4 @@
-"""A static controller: outputs that follow directly from inputs, u = k(x, p, t). By itself it has direct feedthrough; `compose` takes it away."""
+"""A static controller: outputs that follow directly from inputs, u = k(x, p, t). `compose` takes its direct feedthrough away."""
 
 from __future__ import annotations
 

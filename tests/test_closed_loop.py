@@ -161,6 +161,7 @@ def _seeing(component: Component) -> Component:
             replace(PULL, inputs=(replace(PULL.inputs[0], unit="s"),)),
             "'estimate.level' is in m, .* in s",
         ),
+        (sampled_toy(), replace(PULL, outputs=(replace(PULL.outputs[0], unit="m"),)), "'rate' is in m, .* in m/s"),
         (sampled_toy(), replace(growing_toy(), name="growing"), "the feedback has 2 states; only a static one"),
         (
             _seeing(sampled_toy()),
