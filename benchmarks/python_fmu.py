@@ -21,7 +21,15 @@ STOP = 10.0  # [s]
 def step_us(target: str, directory: Path) -> dict[tuple[str, str], float]:
     """Median microseconds of an fmi2DoStep, by system and element, of the systems built for `target` in `directory`."""
     chosen = [word for name in SYSTEMS for word in ("--only", name)]
-    command = [sys.executable, str(ROOT / "build_fmus.py"), *chosen, "--target", target, "--out", directory / "fmus"]
+    command = [
+        sys.executable,
+        str(ROOT / "build_fmus.py"),
+        *chosen,
+        "--target",
+        target,
+        "--out",
+        str(directory / "fmus"),
+    ]
     subprocess.run(command, check=True, capture_output=True)
     results = {name: run(directory / "systems" / f"{name}.ssp", stop=STOP) for name in SYSTEMS}
     return {
@@ -34,7 +42,7 @@ def step_us(target: str, directory: Path) -> dict[tuple[str, str], float]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         native, python = (step_us(target, Path(folder) / target) for target in ("native", "python"))
-    table = Table("system", "element", "native [us]", "PythonFMU [us]", title="One fmi2DoStep, median")
+    table = Table("system", "element", "native", "PythonFMU", title="One fmi2DoStep, median, us")
     for (system, element), value in native.items():
         table.add_row(system, element, f"{value:.1f}", f"{python[system, element]:.0f}")
     Console().print(table)

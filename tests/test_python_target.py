@@ -247,6 +247,19 @@ def test_unknown_targets_and_platforms_are_named(tmp_path: Path) -> None:
     assert binaries == {"linux64", "win64"}
 
 
+def test_the_command_line_builds_them_and_names_what_it_does_not_know(tmp_path: Path) -> None:
+    def build_fmus(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, str(ROOT / "build_fmus.py"), "--only", "sine", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+
+    assert build_fmus("--target", "python").returncode == 0
+    with zipfile.ZipFile(tmp_path / "fmus" / "sine.fmu") as archive:
+        assert "resources/component.json" in archive.namelist()
+    refused = build_fmus("--target", "java")
+    assert refused.returncode == 2
+    assert refused.stderr.strip().splitlines()[-1] == "target 'java' is unknown; known: native, python"
+
+
 def is_noisy(name: str) -> bool:
     """Does a sensor of this system make noise?"""
     return any(values.get("sensor.noise_bound", 0.0) > 0 for values in SYSTEMS[name].parameters.values())
