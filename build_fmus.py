@@ -4,6 +4,7 @@ python build_fmus.py                                   everything, for this mach
 python build_fmus.py --only duffing_pseudospectral     one FMU, or one system with the FMUs that it needs
 python build_fmus.py --platforms all                   one file for Linux, Windows and macOS
 python build_fmus.py --file my_model.py                every Component defined in the file
+python build_fmus.py --target python                   PythonFMUs: for functions that cannot be compiled
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from cosim.ssp import write_ssp
 from cosim.system import Element, System
 from fmu_src import ExportError, export
 from observers.component import Component
-from reference_models import chen_yen_1999, gong_2007, james_baras_1987, nikoukhah_1995, silverbox
+from reference_models import chen_yen_1999, closed_loop, gong_2007, james_baras_1987, nikoukhah_1995, silverbox
 from reference_models.recipe import Recipe, Source
 
-# The papers, each with its FMUs and systems.
-PAPERS = (gong_2007, james_baras_1987, chen_yen_1999, nikoukhah_1995, silverbox)
+# The papers, the closed loops and the measured circuit, each with its FMUs and systems.
+PAPERS = (gong_2007, james_baras_1987, chen_yen_1999, nikoukhah_1995, closed_loop, silverbox)
 FMUS: dict[str, Source] = {name: made for paper in PAPERS for name, made in paper.FMUS.items()}
 SYSTEMS: dict[str, Recipe] = {name: recipe for paper in PAPERS for name, recipe in paper.SYSTEMS.items()}
 
@@ -102,13 +103,14 @@ def build(
     out: Path,
     platforms: Sequence[str],
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+    target: str = "native",
 ) -> list[Path]:
     """Write the FMUs into `out` and the systems into the folder `systems` beside it; returns the files."""
     total = len(work.fmus) + len(work.systems)
     written: list[Path] = []
     for name, (make, driven_by) in work.fmus.items():
         progress(name, len(written), total)
-        written.append(export(make(), out, platforms, driven_by() if driven_by else None))
+        written.append(export(make(), out, platforms, driven_by() if driven_by else None, target))
     directory = out.resolve().parent / "systems"
     if work.systems:
         directory.mkdir(parents=True, exist_ok=True)
@@ -131,6 +133,9 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for the FMUs; the systems go into 'systems' beside it.")] = Path(
         "fmus"
     ),
+    target: Annotated[
+        str, typer.Option(help="native: C without dependencies; python: a PythonFMU, which needs Python in the tool.")
+    ] = "native",
     file: Annotated[Path | None, typer.Option(help="A Python file: builds the Components that it defines.")] = None,
 ) -> None:
     """Build the catalogue's FMUs and systems, or the FMUs of your own model."""
@@ -151,6 +156,7 @@ def main(
                 out,
                 [name.strip() for name in platforms.split(",")],
                 lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
+                target,
             )
     except OSError as error:
         _fail(f"cannot write to {out}: {error.strerror or error}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lxml import etree
@@ -63,8 +63,10 @@ def entries(component: Component) -> list[Entry]:
     return [Entry(port, group) for group, ports in groups.items() for port in ports]
 
 
-def describe(component: Component, guid: str, source_files: Iterable[str]) -> bytes:
-    """The XML document.
+def describe(
+    component: Component, guid: str, source_files: Sequence[str] = (), capabilities: Mapping[str, str] | None = None
+) -> bytes:
+    """The XML document; `capabilities` are attributes of CoSimulation that differ from the native FMU's.
 
     Raises:
         ExportError: a name, unit, type or variability that FMI does not allow; the message names the variable.
@@ -98,9 +100,11 @@ def describe(component: Component, guid: str, source_files: Iterable[str]) -> by
         canSerializeFMUstate="true",
         providesDirectionalDerivative="false",
     )
-    files = etree.SubElement(slave, "SourceFiles")
-    for name in source_files:
-        etree.SubElement(files, "File", name=name)
+    slave.attrib.update(capabilities or {})
+    if source_files:
+        files = etree.SubElement(slave, "SourceFiles")
+        for name in source_files:
+            etree.SubElement(files, "File", name=name)
     _unit_definitions(root, component, variables)
     _type_definitions(root, component, variables)
     categories = etree.SubElement(root, "LogCategories")

@@ -8,9 +8,10 @@ import uuid
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmu_src import documentation
+from fmu_src import documentation, python_target
 from fmu_src.archive import write_zip
 from fmu_src.description import describe
+from fmu_src.errors import ExportError
 from fmu_src.native import compile_library
 from fmu_src.platforms import PLATFORMS, resolve
 from fmu_src.sources import fixed_sources, functions, tables
@@ -22,19 +23,32 @@ def export(
     directory: str | Path,
     platforms: Sequence[str] = ("host",),
     driven_by: Component | None = None,
+    target: str = "native",
 ) -> Path:
-    """Write `<directory>/<component.name>.fmu`, an FMI 2.0 co-simulation FMU in native code, and return its path.
+    """Write `<directory>/<component.name>.fmu`, an FMI 2.0 co-simulation FMU, and return its path.
 
     The same arguments give the same bytes. The file appears under its name only when it is complete.
 
     Args:
-        platforms: names of PLATFORMS, "host" for this machine's, "all" for each of them.
+        platforms: names of PLATFORMS, "host" for this machine's, "all" for each of them that the target knows.
         driven_by: a plant; the documentation's plot then shows the two coupled, outputs to inputs of equal names.
+        target: "native" (C, no dependency) or "python" (PythonFMU, for functions that cannot be compiled).
 
     Raises:
         ExportError: the component cannot be exported; the message says what is in the way.
         OSError: the file cannot be written.
     """
+    if target not in TARGETS:
+        raise ExportError(f"target '{target}' is unknown; known: {', '.join(TARGETS)}")
+    guid, contents = TARGETS[target](component, platforms)
+    contents |= documentation.pages(component, guid, driven_by, target)
+    path = Path(directory) / f"{component.name}.fmu"
+    write_zip(path, contents)
+    return path
+
+
+def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
+    """GUID and contents by path."""
     folders = resolve(platforms)
     constant = fixed_sources() | functions(component)
     source_files = sorted(name for name in [*constant, "component.c"] if name.endswith(".c"))
@@ -48,7 +62,6 @@ def export(
     contents = {
         "modelDescription.xml": describe(component, guid, source_files),
         **{f"sources/{name}": content for name, content in code.items()},
-        **documentation.pages(component, guid, driven_by),
     }
     with tempfile.TemporaryDirectory() as scratch:
         for name, content in code.items():
@@ -56,9 +69,28 @@ def export(
         for folder in folders:
             library = f"{component.name}{PLATFORMS[folder].suffix}"
             contents[f"binaries/{folder}/{library}"] = compile_library(component.name, Path(scratch), folder)
-    path = Path(directory) / f"{component.name}.fmu"
-    write_zip(path, contents)
-    return path
+    return guid, contents
+
+
+def _python(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
+    """GUID and contents by path."""
+    folders = [name for name in resolve(platforms) if name in python_target.LIBRARIES or "all" not in platforms]
+    resources = python_target.resources(component)
+    without_guid = {
+        **resources,
+        **python_target.relay(component, guid=""),
+        "modelDescription.xml": describe(component, guid="", capabilities=python_target.CAPABILITIES),
+    }
+    guid = _content_guid(without_guid)
+    return guid, {
+        "modelDescription.xml": describe(component, guid, capabilities=python_target.CAPABILITIES),
+        **resources,
+        **python_target.binaries(component, guid, folders),
+        "documentation/licenses/pythonfmu.txt": python_target.license_text(),
+    }
+
+
+TARGETS = {"native": _native, "python": _python}
 
 
 def _content_guid(contents: dict[str, bytes]) -> str:

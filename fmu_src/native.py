@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from fmu_src.errors import ExportError
@@ -34,8 +35,8 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "observer-fmus" / "zig"
 
 
-def compile_library(name: str, folder: Path, platform: str) -> bytes:
-    """The shared library made of all `*.c` in `folder`, for a platform of PLATFORMS.
+def compile_library(name: str, folder: Path, platform: str, libraries: Sequence[str] = ("-lm",)) -> bytes:
+    """The shared library made of all `*.c` in `folder`, linked with `libraries`, for a platform of PLATFORMS.
 
     Raises:
         ExportError: the compiler refused; the message holds what it said.
@@ -58,7 +59,7 @@ def compile_library(name: str, folder: Path, platform: str) -> bytes:
         "-o",
         library,
         *sources,
-        "-lm",
+        *libraries,
     ]
     cache = str(cache_folder())
     environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}

@@ -15,6 +15,10 @@ from observers.component import Component, Port, bounds
 
 FMI_HEADERS = ("fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h")
 
+EXTERNAL = (
+    "/* External functions */"  # CasADi's comment above the declarations of functions that are linked from elsewhere
+)
+
 # CasADi gives every function the same five arguments, whether it needs them or not.
 _CASADI_WARNINGS = b"""\
 #if defined __GNUC__
@@ -48,7 +52,7 @@ def functions(component: Component) -> dict[str, bytes]:
         generator.generate(folder + "/")
         code = (Path(folder) / "functions.c").read_text()
         header = (Path(folder) / "functions.h").read_text()
-    if "#error" in code:
+    if "#error" in code or EXTERNAL in code:
         raise ExportError(_cannot_generate(component))
     if "CASADI_MAX_NUM_THREADS" in code:
         raise ExportError(
@@ -68,6 +72,8 @@ def _cannot_generate(component: Component) -> str:
             for line in generator.dump().splitlines()
             if line.strip().startswith("#error")
         ]
+        if EXTERNAL in generator.dump():
+            reasons.append("it calls an external function, whose code is not in it")
         if reasons:
             return (
                 f"component '{component.name}': CasADi cannot write C for the function '{name}': {'; '.join(reasons)}"

@@ -80,8 +80,8 @@ class Component:
         documentation: the component's method and limits, as HTML paragraphs for the FMU's documentation page.
 
     Raises:
-        ValueError: functions whose sizes contradict the ports, names that are not unique or unknown, a sample time that is
-            neither 0 nor at least SHORTEST_SAMPLE_TIME, a time span that is not positive.
+        ValueError: functions whose sizes contradict the ports or whose results are sparse, names that are not unique or unknown, a
+            sample time that is neither 0 nor at least SHORTEST_SAMPLE_TIME, a time span that is not positive.
     """
 
     name: str
@@ -162,6 +162,8 @@ class Component:
                     f"component '{self.name}': {name} maps sizes {found} to {function.numel_out(0)}, "
                     f"the ports ask for {arguments} to {result}"
                 )
+            if function.nnz_out(0) != result:
+                raise ValueError(f"component '{self.name}': the result of {name} is sparse; casadi.densify it")
         if self.failures and z < 3:
             raise ValueError(
                 f"component '{self.name}': failures take the last three of the state's entries, it has {z}"

@@ -7,8 +7,10 @@ nanoseconds and then to a sample instant nearby, so that masters which accumulat
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from observers.component import Component, bounds, check_sample_time
@@ -27,6 +29,7 @@ class Instance:
         parameters: start values that differ from the component's, by name.
         t0: start time [s].
         inputs: input values before the first step, by name.
+        stop: no step may end later [s].
 
     Raises:
         ValueError: an unknown name, a parameter outside its bounds, an impossible sample time, a start state that is not
@@ -39,8 +42,10 @@ class Instance:
         parameters: Mapping[str, float] | None = None,
         t0: float = 0.0,
         inputs: Mapping[str, float] | None = None,
+        stop: float = math.inf,
     ):
         self.component = component
+        self._evaluate = {name: _evaluation(function) for name, function in component.functions.items()}
         self._p_index = {port.name: i for i, port in enumerate(component.parameters)}
         self._u_index = {port.name: i for i, port in enumerate(component.inputs)}
         self._y_index = {port.name: i for i, port in enumerate(component.outputs)}
@@ -60,8 +65,9 @@ class Instance:
             self.sample_time = float(sample_time)
         self._breaks = sorted(self.p[self._p_index[name]] for name in component.breaks)
         self.t0 = self.time = t0
+        self.stop = stop
         self.ticks = 0
-        self.z = self._call("start", self.p, t0)
+        self.z = self._evaluate["start"](self.p, t0)
         if failure := self._failure(self.z):
             raise ValueError(f"{failure}, for the start values")
         if not np.all(np.isfinite(self.z)):
@@ -91,32 +97,37 @@ class Instance:
 
     def outputs(self) -> np.ndarray:
         """All outputs at the current time, in the component's order."""
-        return self._call("output", self.z, self.u, self.p, self.time)
+        return self._evaluate["output"](self.z, self.u, self.p, self.time)
 
-    def step(self, t: float, h: float) -> None:
+    def step(self, t: float, h: float, derivatives: np.ndarray | float = 0.0) -> None:
         """From t to t + h: every sample instant in [t, t + h) jumps with the inputs set before, then the state flows to t + h.
+
+        `derivatives` of the inputs (n_u) [their units per s] extrapolate them linearly within this step.
 
         Raises:
             ValueError: t is not the current time, h is not positive or exceeds the sample time of a component that samples
-                its inputs, t is so large that doubles cannot tell sample instants apart, the state would not be finite, or
-                the component's motion cannot go on.
-                The instance is then unchanged.
+                its inputs, t + h lies beyond the stop time, t is so large that doubles cannot tell sample instants
+                apart, the state would not be finite, or the component's motion cannot go on. The instance is then unchanged.
         """
         component, ts = self.component, self.sample_time
         if not (math.isfinite(h) and h > 0):
             raise ValueError(f"{component.name}: step size h = {h:g} must be positive")
         if not abs(t - self.time) <= self._tolerance(self.time):
-            raise ValueError(f"{component.name}: step from t = {t:.17g}, but the current time is {self.time:.17g}")
+            raise ValueError(f"{component.name}: step from t = {t:.15g}, but the current time is {self.time:.15g}")
         if component.samples_inputs and ts > 0 and h > ts * (1 + SNAP):
             raise ValueError(f"{component.name}: step size h = {h:g} exceeds the sample time {ts:g}")
         end = self._snap(t + h)
+        if end > self.stop + self._tolerance(self.stop):
+            raise ValueError(
+                f"{component.name}: the step from t = {t:.15g} to {end:.15g} goes beyond the stop time {self.stop:.15g}"
+            )
         if not (end >= self.time and math.isfinite(end)):
             raise ValueError(
-                f"{component.name}: a step to t = {end:.17g} is impossible from the current time {self.time:.17g}"
+                f"{component.name}: a step to t = {end:.15g} is impossible from the current time {self.time:.15g}"
             )
         if ts > 0 and RESOLUTION * abs(end) > COARSE * ts:
             raise ValueError(
-                f"{component.name}: at t = {end:.17g} times are exact to {RESOLUTION * abs(end):.2g} s only, "
+                f"{component.name}: at t = {end:.15g} times are exact to {RESOLUTION * abs(end):.2g} s only, "
                 f"too coarse for the sample time {ts:g}"
             )
         now, z, ticks, slack = self.time, self.z, self.ticks, self._tolerance(end)
@@ -125,7 +136,7 @@ class Instance:
             due = tick < end - slack
             if due and tick <= now + slack:
                 if component.jump is not None:
-                    z = self._call("jump", z, self.u, self.p, tick)
+                    z = self._evaluate["jump"](z, self._inputs(derivatives, tick), self.p, tick)
                 ticks += 1
                 continue
             until = tick if due else end
@@ -133,7 +144,7 @@ class Instance:
                 if now + 1 / NANOSECONDS < instant < until - 1 / NANOSECONDS:
                     until = instant
                     break
-            z = self._flow(z, now, until)
+            z = self._flow(z, now, until, derivatives)
             now = until
             if not due and until == end:
                 break
@@ -160,12 +171,17 @@ class Instance:
         failure, time, measure = failures[int(z[-3]) - 1], z[-2], z[-1]
         return f"{self.component.name}: {failure.what} at t = {time:.10g}, where {failure.measure} is {measure:.4g}"
 
-    def _flow(self, z: np.ndarray, start: float, end: float) -> np.ndarray:
+    def _flow(self, z: np.ndarray, start: float, end: float, derivatives: np.ndarray | float) -> np.ndarray:
         substeps = max(1, math.ceil((end - start) / self.component.max_step - SNAP))
         h = (end - start) / substeps
         for i in range(substeps):
-            z = self._call("flow", z, self.u, self.p, start + i * h, h)
+            t = start + i * h
+            z = self._evaluate["flow"](z, self._inputs(derivatives, t + h / 2), self.p, t, h)
         return z
+
+    def _inputs(self, derivatives: np.ndarray | float, t: float) -> np.ndarray:
+        """The inputs at time t within the step."""
+        return self.u + derivatives * (t - self.time) if np.any(derivatives) else self.u
 
     def _tolerance(self, t: float) -> float:
         """How far two times at about t may lie apart and still be the same."""
@@ -194,5 +210,23 @@ class Instance:
             raise ValueError(f"{self.component.name} has no {what} '{name}'; known: {', '.join(known) or 'none'}")
         return known[name]
 
-    def _call(self, function: str, *arguments: np.ndarray | float) -> np.ndarray:
-        return np.asarray(self.component.functions[function].call(list(arguments))[0].full()).ravel()
+
+def _evaluation(function: ca.Function) -> Callable[..., np.ndarray]:
+    """`function` on columns of doubles, through CasADi's buffers: a call of `Function` itself costs 100 us more."""
+    made: tuple[Any, Callable[[], None]] = function.buffer()
+    buffer, evaluate = made
+    arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+    result = np.zeros(function.numel_out(0))
+    for i, argument in enumerate(arguments):
+        buffer.set_arg(i, argument.data)
+    buffer.set_res(0, result.data)
+
+    def call(*values: np.ndarray | float) -> np.ndarray:
+        for argument, value in zip(arguments, values, strict=True):
+            argument[...] = value
+        evaluate()
+        if buffer.ret() != 0:
+            raise ArithmeticError(f"'{function.name()}' could not be evaluated")
+        return result.copy()
+
+    return call

@@ -13,7 +13,6 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
-from systems import coupled, edited, written
 
 from build_fmus import SYSTEMS
 from cosim.comparison import LIMIT, MASTERS, differences, largest, record_all
@@ -27,6 +26,7 @@ from observers.component import Component, Port
 from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from systems import coupled, edited, written
 
 Build = Callable[[str], Path]
 ROOT = Path(__file__).parent.parent
