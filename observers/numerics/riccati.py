@@ -37,12 +37,12 @@ def propagator(n: int, measured: bool = False) -> ca.Function:
     size = h * ca.sqrt(ca.sumsqr(A)) + (h * ca.sqrt(ca.sqrt(ca.sumsqr(W) * ca.sumsqr(S))) if measured else 0)
     wanted = ca.ceil(ca.log(ca.fmax(size / SHORT, TINY)) / ca.log(2.0))
     doublings = ca.fmin(ca.fmax(wanted, 0), MOST_DOUBLINGS)
-    state = Layout(**{name: n * n for name in (("Phi", "Wd", "Sd") if measured else ("Phi", "Wd"))})
+    state = Layout(**{name: n * n for name in (("F", "Wd", "Sd") if measured else ("F", "Wd"))})
     arguments = [A, W, S, h] if measured else [A, W, h]
     short = _small(ca.Function("short", [*arguments, k], [_pack(_short_step(A, W, S, h / 2**k, measured))]), n)
     first = short(*arguments, doublings)
-    triple = [ca.reshape(part, n, n) for part in vars(state.unpack(_doubled(n, measured)(first, doublings))).values()]
-    return ca.Function("propagator", arguments, triple)
+    F, *rest = (ca.reshape(part, n, n) for part in vars(state.unpack(_doubled(n, measured)(first, doublings))).values())
+    return ca.Function("propagator", arguments, [ca.MX.eye(n) + F, *rest])
 
 
 @cache
@@ -60,37 +60,44 @@ def symmetric(X: Any) -> Any:
 
 
 def _short_step(A: Any, W: Any, S: Any, h: Any, measured: bool) -> list[Any]:
-    """(Phi, Wd, Sd) of a step so short that the Taylor series of E = exp(h M) is exact."""
+    """(F, Wd, Sd), F = Phi - I, of a step so short that the Taylor series of E = exp(h M) is exact."""
     n = A.shape[0]
     one = ca.MX.eye(n)
     E11, E12, E21, E22 = one, ca.MX(n, n), ca.MX(n, n), one
     for j in range(ORDER, 0, -1):
-        E11, E12, E21, E22 = (
-            one + h / j * (A @ E11 + W @ E21),
+        F11, E12, E21, F22 = (
+            h / j * (A @ E11 + W @ E21),
             h / j * (A @ E12 + W @ E22),
             h / j * (S @ E11 - A.T @ E21),
-            one + h / j * (S @ E12 - A.T @ E22),
+            h / j * (S @ E12 - A.T @ E22),
         )
+        E11, E22 = one + F11, one + F22
     if not measured:
-        return [E11, symmetric(E12 @ E11.T)]  # E22^-1 = E11'
-    both = _solve(E22.T, ca.horzcat(one, E12.T))
+        return [F11, symmetric(E12 @ E11.T)]  # E22^-1 = E11'
+    both = _solve(E22.T, ca.horzcat(-F22.T, E12.T))
     return [both[:, :n], symmetric(both[:, n:].T), symmetric(_solve(E22, E21))]
 
 
 @cache
 def _doubled(n: int, measured: bool) -> ca.Function:
-    """doubled(triple, k): `triple`, as one column, of a step 2^k as long."""
-    names = ("Phi", "Wd", "Sd") if measured else ("Phi", "Wd")
+    """doubled(triple, k): `triple` (F, Wd, Sd), as one column, of a step 2^k as long."""
+    names = ("F", "Wd", "Sd") if measured else ("F", "Wd")
     state = Layout(**{name: n * n for name in names})
     column, k = ca.MX.sym("column", state.total), ca.MX.sym("k")
-    Phi, Wd, *rest = (ca.reshape(part, n, n) for part in vars(state.unpack(column)).values())
+    F, Wd, *rest = (ca.reshape(part, n, n) for part in vars(state.unpack(column)).values())
+    Phi = ca.MX.eye(n) + F
     if measured:
         Sd = rest[0]
-        Z = _inverse(n)(Wd @ Sd)
+        X = Wd @ Sd
+        Z = _inverse(n)(X)
         half = Phi @ Z
-        twice = [half @ Phi, symmetric(Wd + half @ Wd @ Phi.T), symmetric(Sd + Phi.T @ Sd @ Z @ Phi)]
+        twice = [
+            2 * F + F @ F - half @ X @ Phi,
+            symmetric(Wd + half @ Wd @ Phi.T),
+            symmetric(Sd + Phi.T @ Sd @ Z @ Phi),
+        ]
     else:
-        twice = [Phi @ Phi, symmetric(Wd + Phi @ Wd @ Phi.T)]
+        twice = [2 * F + F @ F, symmetric(Wd + Phi @ Wd @ Phi.T)]
     double = _small(ca.Function("double", [column], [_pack(twice)]), n)
     one = ca.Function.if_else("maybe_double", double, ca.Function("keep", [column], [column]))
 
