@@ -102,6 +102,7 @@ def chen_yen(
     """
     refuse(model, "chen_yen", "algebraic", "unknown_disturbances")
     refuse_unobservable(model, "chen_yen")
+    period = ports.sample_time("chen_yen", sample_time)
     line = linearisation(model)
     if not linearise:
         _refuse_nonlinear(model, line)
@@ -145,7 +146,7 @@ def chen_yen(
         Port("tuning.T", "time between covariance resets", "s", T, min=1e-6, variability="tunable"),
         Port("tuning.gamma", "least-squares gain", start=gamma, min=1e-12, variability="tunable"),
         Port("tuning.p0", "what P_o is reset to", start=p0, min=1e-12, variability="tunable"),
-        Port("sample_time", "sample time Ts", "s", sample_time, min=1e-6, variability="fixed"),
+        period,
     )
     return Component(
         name=name or f"{model.name}_least_squares",

@@ -59,7 +59,7 @@ def algebraic_riccati(A, W, S, first):
 
 def condition(reference, Q, A, W, S):
     """How much `reference(Q, A, W, S)` moves, relative to a random relative change of its arguments' entries."""
-    rng, exact, step = np.random.default_rng(0), reference(Q, A, W, S), 1e-10
+    rng, exact, step = np.random.default_rng(0), reference(Q, A, W, S), 1e-13
 
     def moved(M, symmetric=True):
         factor = 1 + step * rng.choice([-1, 1], size=M.shape)
