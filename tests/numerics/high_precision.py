@@ -1,4 +1,4 @@
-"""Independent references in multiple precision (Arb): the Riccati flow by its Hamiltonian's exponential, the algebraic equation by Newton."""
+"""References in multiple precision (Arb): the Riccati flow by its Hamiltonian's exponential, the algebraic equation by Newton."""
 
 import math
 
