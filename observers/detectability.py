@@ -27,7 +27,7 @@ import numpy as np
 from observers.numerics.exact import in_high_precision, matrix, rounded, table
 from observers.numerics.interval import Range
 from observers.numerics.riccati import riccati_step
-from observers.suprema import MARGIN, downward, largest, norm, point, smallest_gain, supremum, upward
+from observers.suprema import MARGIN, downward, largest, point, smallest_gain, supremum, upward
 
 GAINS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 121)])  # s of Lambda = -s H', times |A| / |H|^2
 FORGETTING = np.geomspace(1e-6, 1e3, 19)  # theta, times |A|
@@ -45,9 +45,14 @@ def by_injection(pairs: Pairs, A: float, H: float, NN: float) -> tuple[float, fl
     best = (0.0, -math.inf, math.inf)
     if not (math.isfinite(A) and math.isfinite(H)):
         return best
+    half = np.array([(a.middle + a.middle.T) / 2 for a, _ in pairs])
+    square = np.array([h.middle.T @ h.middle for _, h in pairs])
+    spread = np.array([np.linalg.norm((a.radius + a.radius.T) / 2, 2) for a, _ in pairs])
+    slack = np.array([2 * np.linalg.norm(h.middle, 2) * np.linalg.norm(h.radius, 2) for _, h in pairs])
     for gain in GAINS:
         s = float(gain) * (A / H**2 if H > 0 else 0.0)
-        alpha0 = -supremum(_closed(a, h, s) for a, h in pairs)
+        eigenvalues = np.linalg.eigvalsh(half - s * square)[:, -1] + spread + s * slack
+        alpha0 = -upward(float(eigenvalues.max()) + MARGIN * (A + 3 * s * H**2))
         forcing = upward((NN + s**2 * H**2) / (2 * alpha0) * (1 + 1e-14)) if alpha0 > 0 else math.inf
         if forcing < best[2] or (best[2] == math.inf and alpha0 > best[1]):
             best = (s, alpha0, forcing)
@@ -97,7 +102,7 @@ def _candidates(pairs: Pairs, A: float, N: np.ndarray) -> Callable[[float], tupl
     n, W = len(N), N @ N.T
     mean = np.mean([a.middle for a, _ in pairs], axis=0)
     S = np.mean([h.middle.T @ h.middle for _, h in pairs], axis=0)
-    step, time = riccati_step(n), STEADY / (A or 1.0)
+    step, time, waiting = riccati_step(n), STEADY / (A or 1.0), list(pairs)
 
     def candidate(theta: float) -> tuple[np.ndarray, np.ndarray] | None:
         X = step(np.eye(n), mean + theta / 2 * np.eye(n), W, S, time).full()
@@ -108,7 +113,11 @@ def _candidates(pairs: Pairs, A: float, N: np.ndarray) -> Callable[[float], tupl
         if np.linalg.eigvalsh(X).min() <= MARGIN * np.linalg.norm(X):
             return None
         T = np.linalg.inv(np.linalg.cholesky(X))
-        return (X, T) if all(_excess(a, h, N, X, T) < 0 for a, h in pairs) else None
+        for i, (a, h) in enumerate(waiting):
+            if not _excess(a, h, N, X, T) < 0:
+                waiting.insert(0, waiting.pop(i))  # what refuses this theta most likely refuses the next one
+                return None
+        return X, T
 
     return candidate
 
@@ -128,10 +137,3 @@ def _excess(A: Range, H: Range, N: np.ndarray, X: np.ndarray, T: np.ndarray) -> 
     spread = 2 * np.linalg.norm(abs(T) @ A.radius @ abs(XT), 2)
     spread += 2 * np.linalg.norm(H.middle @ XT, 2) * np.linalg.norm(H.radius @ abs(XT), 2)
     return largest(point(_residual(A.middle, H.middle, N, X, T))) + float(spread) * (1 + MARGIN)
-
-
-def _closed(A: Range, H: Range, s: float) -> float:
-    """Upper bound over a cell of the largest eigenvalue of the symmetric part of A - s H'H."""
-    slack = 2 * np.linalg.norm(H.middle, 2) * np.linalg.norm(H.radius, 2)
-    square = s * H.middle.T @ H.middle
-    return largest(Range(A.middle - square, A.radius)) + (float(s * slack) + s * norm(H) ** 2 * MARGIN) * (1 + MARGIN)
