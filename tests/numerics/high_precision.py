@@ -13,10 +13,10 @@ def relative(found, expected):
     return float(np.abs(found - expected).max() / np.abs(expected).max())
 
 
-def exponential(A):
-    """exp(A), rounded to doubles once."""
-    with ctx.workprec(_bits(np.abs(np.linalg.eigvals(A).real).max())):
-        return _doubles(_matrix(A).exp())
+def exponential(A, h):
+    """exp(A h), rounded to doubles once."""
+    with ctx.workprec(_bits(h * np.abs(np.linalg.eigvals(A).real).max())):
+        return _doubles((_matrix(A) * arb(h)).exp())
 
 
 def riccati_flow(Q, A, W, S, h):
