@@ -245,31 +245,18 @@ def test_example_5_1_is_certified_from_anywhere_though_A_is_not_negative_across_
     assert run.get("diagnostics.guaranteed_rate") == pytest.approx(1 / (2 * found["q"]), rel=1e-6)
 
 
-def worst_riccati(vertices, H, q, horizon, Ts):
-    """The largest |Q| from Q0 = I when at every Ts that vertex is taken under which the top eigenvalue grows fastest."""
-    n, Q, largest = len(H[0]), np.eye(len(H[0])), 0.0
-    for _ in range(round(horizon / Ts)):
-        top = np.linalg.eigh(Q)[1][:, -1]
-        A = max(vertices, key=lambda A: top @ A @ Q @ top)
-        Q = riccati_step(n)(Q, A, np.eye(n), H.T @ H, Ts).full()
-        largest = max(largest, float(np.linalg.eigvalsh(Q).max()))
-    return largest
-
-
 def test_no_control_that_was_tried_drives_Q_of_example_5_1_beyond_its_bound():
     B = np.array([[[0.3, 0, 0], [0.2, -0.3, 0], [0, 0.2, 0.4]], [[-0.2, 0, 0], [0, 0.4, 0], [0.3, 0, -0.3]]])
     A, H = np.array([[0, 1, 0], [0, 0, 1], [-1, -2, -0.5]]), np.array([[1.0, 0, 0]])
     vertices = [A + a * B[0] + b * B[1] for a in (-1, 1) for b in (-1, 1)]
-    q = constants(james_baras(JAMES_BARAS_5_1, sample_time=0.01))["q"]
-    found = [worst_riccati(vertices, H, q, 40.0, 0.05), *(worst_riccati([v], H, q, 40.0, 0.5) for v in vertices)]
-    rng = np.random.default_rng(0)
-    for hold in (0.2, 1.0, 3.0):
+    q, found, rng = constants(james_baras(JAMES_BARAS_5_1, sample_time=0.01))["q"], [], np.random.default_rng(0)
+    for hold in (0.2, 0.5, 1.0, 3.0):  # [s], how long one of the controls' corners is held
         Q = np.eye(3)
-        for _ in range(200):
+        for _ in range(500):
             Q = riccati_step(3)(Q, vertices[rng.integers(4)], np.eye(3), H.T @ H, hold).full()
             found.append(float(np.linalg.eigvalsh(Q).max()))
     assert max(found) <= q
-    assert max(found) > q / 20  # a bound that is far off would certify nothing useful
+    assert max(found) > q / 6  # 12.7 of 64.3
 
 
 def test_where_every_state_is_measured_Q_is_bounded_without_detectability_of_A():
