@@ -131,6 +131,7 @@ class Certificate:
                 "alpha0 of (3.3) with Lambda = -s H'; where it is not positive q comes from other coordinates",
                 self.alpha0,
             ),
+            ("s", "s of that Lambda", self.s),
             ("p", "bound of |P|, by comparison", self.p),
             ("q", "bound of |Q|, by comparison", self.q),
             ("q_paper", "bound of |Q| by (3.7)", self.q_paper),
@@ -173,7 +174,11 @@ def certificate(model: Model, line: Linearisation, N: np.ndarray, R: np.ndarray,
     full_rank = by_full_rank(pairs, norm(NN), Q0_norm) if len(R) >= len(N) else math.inf
     q, q_paper = min(max(Q0_norm, forcing), compared, full_rank), upward(Q0_norm + forcing)
     if not (obstacle or math.isfinite(q)):
-        obstacle = "no uniform detectability was found: neither (3.3) with Lambda = -s H' nor a constant X of (*)"
+        obstacle = (
+            "uniform detectability was not found, neither (3.3) with Lambda = -s H' nor in other constant coordinates"
+        )
+    if not (obstacle or math.isfinite(p)):
+        obstacle = "N N' or Q0 is singular to working precision"
     R1 = norm(point(R_inverse)) ** 2
 
     def bracket(q: float) -> float:

@@ -24,7 +24,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from observers.numerics.exact import in_high_precision, matrix, rounded, table
+from observers.numerics.exact import in_high_precision, matrix, product, rounded, table
 from observers.numerics.interval import Range
 from observers.numerics.riccati import riccati_step
 from observers.suprema import MARGIN, downward, largest, point, smallest_gain, supremum, upward
@@ -61,7 +61,7 @@ def by_injection(pairs: Pairs, A: float, H: float, NN: float) -> tuple[float, fl
 
 def by_comparison(pairs: Pairs, A: float, N: np.ndarray, Q0: np.ndarray) -> float:
     """The bound of |Q| by X(theta) with the smallest theta that satisfies (*); inf where none within FORGETTING does."""
-    if not math.isfinite(A):
+    if not (math.isfinite(A) and all(np.all(np.isfinite(h.radius)) for _, h in pairs)):
         return math.inf
     candidate = _candidates(pairs, A, N)
     best, below = None, 0.0
@@ -80,8 +80,8 @@ def by_comparison(pairs: Pairs, A: float, N: np.ndarray, Q0: np.ndarray) -> floa
         else:
             theta, best = middle, found
     X, T = best
-    unit = -largest(point(-T @ X @ T.T))  # 1 but for rounding
-    factor = max(1.0, largest(point(T @ Q0 @ T.T)) / unit)
+    unit = -largest(point(-product(T, X, T.T)))  # 1 but for rounding
+    factor = max(1.0, largest(point(product(T, Q0, T.T))) / unit)
     return upward(factor * largest(point(X)) * (1 + MARGIN))
 
 
@@ -133,7 +133,7 @@ def _residual(A: np.ndarray, H: np.ndarray, N: np.ndarray, X: np.ndarray, T: np.
 
 def _excess(A: Range, H: Range, N: np.ndarray, X: np.ndarray, T: np.ndarray) -> float:
     """Upper bound over a cell of the largest eigenvalue of the left side of (*), congruent by T."""
-    XT = X @ T.T
+    XT = product(X, T.T)
     spread = 2 * np.linalg.norm(abs(T) @ A.radius @ abs(XT), 2)
-    spread += 2 * np.linalg.norm(H.middle @ XT, 2) * np.linalg.norm(H.radius @ abs(XT), 2)
+    spread += 2 * np.linalg.norm(product(H.middle, X, T.T), 2) * np.linalg.norm(H.radius @ abs(XT), 2)
     return largest(point(_residual(A.middle, H.middle, N, X, T))) + float(spread) * (1 + MARGIN)

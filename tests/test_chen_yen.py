@@ -125,14 +125,14 @@ def switched(period=0.37):
 def switched_error(max_step):
     observer = Instance(chen_yen(switched(), sample_time=0.1, T=1.0, gamma=20.0, max_step=max_step), {"guess.x1": 3.0})
     x, gap = np.array([1.0, -1.0]), 0.0
-    for k in range(120):
+    for k in range(80):
         observer.set("y", x[0])
         observer.step(0.1 * k, 0.1)
         cuts = [0.1 * k, *[c for c in 0.37 * np.arange(60) if 0.1 * k + 1e-9 < c < 0.1 * (k + 1) - 1e-9], 0.1 * (k + 1)]
         for begin, end in pairwise(cuts):
             stiffness = -4.0 if math.fmod((begin + end) / 2, 0.74) < 0.37 else 0.5
             x = expm(np.array([[0, 1], [stiffness, -0.1]]) * (end - begin)) @ x
-        if k >= 60:
+        if k >= 40:
             scale = max(1.0, np.linalg.norm(x))
             gap = max(gap, np.hypot(observer.get("estimate.x1") - x[0], observer.get("estimate.x2") - x[1]) / scale)
     return gap

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from linear_models import entries, kalman, linear
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_are
 
 from observers.certificates import ANYWHERE, INSIDE, NONE, OUTSIDE
 from observers.instance import Instance
@@ -243,6 +243,23 @@ def test_example_5_1_is_certified_from_anywhere_though_A_is_not_negative_across_
     run = Instance(component)
     assert run.get("diagnostics.certified") == ANYWHERE
     assert run.get("diagnostics.guaranteed_rate") == pytest.approx(1 / (2 * found["q"]), rel=1e-6)
+
+
+@pytest.mark.parametrize("n", [2, 4])
+def test_on_an_invariant_unstable_model_the_bound_of_Q_is_the_algebraic_equations_solution(n):
+    rng = np.random.default_rng(n)
+    A, C = rng.normal(size=(n, n)) + 0.5 * np.eye(n), rng.normal(size=(1, n))
+    model = Model(
+        name="unstable",
+        states=[Variable(f"x{i}") for i in range(n)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [sum(A[i, j] * getattr(x, f"x{j}") for j in range(n)) for i in range(n)],
+        output=lambda x, u, p, t: [sum(C[0, j] * getattr(x, f"x{j}") for j in range(n))],
+    )
+    largest = np.linalg.eigvalsh(solve_continuous_are(A.T, C.T, np.eye(n), np.eye(1))).max()
+    component = james_baras(model, sample_time=0.1, Q0=1e-3)
+    assert largest <= constants(component)["q"] <= largest * (1 + 1e-3)
+    assert Instance(component).get("diagnostics.certified") == ANYWHERE
 
 
 def test_no_control_that_was_tried_drives_Q_of_example_5_1_beyond_its_bound():
