@@ -19,8 +19,9 @@ import casadi as ca
 from observers.numerics import linear, tiles
 from observers.numerics.layout import Layout
 
-ORDER = 8  # of the Taylor series
-SHORT = 1 / 8  # norm of the balanced h M up to which it is exact: SHORT^8 / 9! = 1.6e-13
+ORDER = 9  # of the Taylor series of F
+NOISE_TERMS = 12  # of that of Wd without measurements
+SHORT = 1 / 8  # norm of the balanced h M up to which they are exact: SHORT^9 / 10! = 2e-15, (2 SHORT)^12 / 13! = 1e-17
 FIRST_DOUBLINGS = 2  # what comes later is jumped over as a whole
 MOST_DOUBLINGS = 40
 UNROLLED = 4  # states up to which the products are unrolled into scalars
@@ -66,6 +67,18 @@ def _short_step(A: Any, W: Any, S: Any, h: Any, measured: bool) -> list[Any]:
     """(F, Wd, Sd), F = Phi - I, of a step so short that the Taylor series of E = exp(h M) is exact."""
     n = A.shape[0]
     one = ca.MX.eye(n)
+    if not measured:
+        # Wd = integral of exp(A s) W exp(A' s): its terms are W's images under X -> A X + X A'.
+        E11, F11, Wd = one, ca.MX(n, n), h * W
+        term = Wd
+        for j in range(ORDER, 0, -1):
+            F11 = h / j * A @ E11
+            E11 = one + F11
+        for j in range(2, NOISE_TERMS + 1):
+            moved = A @ term
+            term = h / j * (moved + moved.T)
+            Wd = Wd + term
+        return [F11, Wd]
     E11, E12, E21, E22 = one, ca.MX(n, n), ca.MX(n, n), one
     for j in range(ORDER, 0, -1):
         F11, E12, E21, F22 = (
@@ -75,8 +88,6 @@ def _short_step(A: Any, W: Any, S: Any, h: Any, measured: bool) -> list[Any]:
             h / j * (S @ E12 - A.T @ E22),
         )
         E11, E22 = one + F11, one + F22
-    if not measured:
-        return [F11, symmetric(E12 @ E11.T)]  # E22^-1 = E11'
     both = _solve(E22.T, ca.horzcat(-F22.T, E12.T))
     return [both[:, :n], symmetric(both[:, n:].T), symmetric(_solve(E22, E21))]
 
