@@ -6,21 +6,28 @@ python docs/figures_linear_gain.py
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
+import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 from figures import BLUE, GREEN, GREY, ORANGE, save
+from scipy.integrate import quad_vec
+from scipy.linalg import expm
 
 from cosim.master import run
 from cosim.results import Result
 from observers.chen_yen import chen_yen
 from observers.instance import Instance
 from observers.james_baras import james_baras
+from observers.model import Model, Variable
 from reference_models.chen_yen import CHEN_YEN
+from reference_models.james_baras_5_1 import JAMES_BARAS_5_1
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant
 
 TIMES = (1, 2, 3, 5, 10, 20)
+SUBSTEPS = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # [s]
 
 
 def error(result: Result) -> np.ndarray:
@@ -86,22 +93,74 @@ def least_squares(short: Result, long: Result) -> None:
     save(figure, "chen_yen_errors")
 
 
-def needed_gain(T: float) -> float:
-    """The smallest gamma p0 at which every interval of [0, 20 s] is certified to contract."""
+def needed_gain(T: float, starts: np.ndarray) -> tuple[float, float]:
+    """The gamma p0 that certifies all intervals from `starts` on: each by its own mu and lmin(W), and by the worst of both.
 
-    def worst(product: float) -> float:
-        observer = Instance(chen_yen(CHEN_YEN, sample_time=0.01, T=T, gamma=product / 0.1, p0=0.1))
-        found = 0.0
-        for k in range(2001):
-            observer.step(0.01 * k, 0.01)
-            found = max(found, observer.get("diagnostics.certified_contraction"))
-        return found
+    mu and lmin(W) follow from the certified factor mu / (1 + gamma p0 lmin(W)) at two values of gamma p0.
+    """
 
-    low, high = 0.01, 1e5
-    for _ in range(18):
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if worst(middle) < 1 else (middle, high)
-    return high
+    def factors(product: float) -> np.ndarray:
+        found = []
+        for start in starts:
+            observer = Instance(chen_yen(CHEN_YEN, sample_time=0.01, T=T, gamma=product / 0.1, p0=0.1), t0=start)
+            for k in range(round(T / 0.01) + 1):
+                observer.step(start + 0.01 * k, 0.01)
+            found.append(observer.get("diagnostics.certified_contraction"))
+        return np.array(found)
+
+    mu, high = factors(1e-9), 1e3
+    least = (mu / factors(high) - 1) / high
+    return float(((mu - 1) / least).max()), float((mu.max() - 1) / least.min())
+
+
+def switching_error(max_step: float) -> float:
+    """The largest relative error from 5 s on where A(t) switches every 0.37 s, Ts = 0.1 s."""
+    period, Ts = 0.37, 0.1
+    model = Model(
+        name="switched",
+        states=[Variable("x1", start=1.0), Variable("x2", start=-1.0)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [
+            x.x2,
+            ca.if_else(ca.fmod(t, 2 * period) < period, -4 * x.x1, 0.5 * x.x1) - 0.1 * x.x2,
+        ],
+        output=lambda x, u, p, t: [x.x1],
+    )
+    observer = Instance(
+        chen_yen(model, sample_time=Ts, T=1.0, gamma=20.0, max_step=max_step, guess={"x1": 3.0, "x2": 0.0})
+    )
+    x, largest = np.array([1.0, -1.0]), 0.0
+    for k in range(200):
+        observer.set("y", x[0])
+        observer.step(Ts * k, Ts)
+        switches = period * np.arange(60)
+        cuts = [Ts * k, *switches[(switches > Ts * k + 1e-9) & (switches < Ts * (k + 1) - 1e-9)], Ts * (k + 1)]
+        for begin, end in pairwise(cuts):
+            stiffness = -4.0 if math.fmod((begin + end) / 2, 2 * period) < period else 0.5
+            x = expm(np.array([[0, 1], [stiffness, -0.1]]) * (end - begin)) @ x
+        if k >= 50:
+            gap = np.hypot(observer.get("estimate.x1") - x[0], observer.get("estimate.x2") - x[1])
+            largest = max(largest, gap / max(1.0, np.linalg.norm(x)))
+    return largest
+
+
+def bound_of_corollary_3_1() -> tuple[float, float]:
+    """The smallest q of (3.14) for Example 5.1 over tau: as printed, and with the integral of its own decay bound, alpha1^2 / alpha0.
+
+    With the Gramian at u = 0, which is not below the infimum over all controls, for s0 tau: a lower bound of what the corollary gives.
+    """
+    A, C = np.array([[0, 1, 0], [0, 0, 1], [-1, -2, -0.5]]), np.array([[1.0, 0, 0]])
+    largest = next(
+        port.start for port in james_baras(JAMES_BARAS_5_1, sample_time=0.01).constants if port.name == "certificate.A"
+    )
+    printed, corrected = [], []
+    for tau in np.geomspace(0.05, 5, 60):
+        gramian = quad_vec(lambda s: expm(-A * s).T @ C.T @ C @ expm(-A * s), 0, tau, epsrel=1e-10)[0]
+        grown = math.exp(2 * tau * largest)
+        low, high = tau / grown / (1 + tau**2 * grown), tau * grown**2 * (1 + 1 / np.linalg.eigvalsh(gramian)[0])
+        printed.append(low / high + (1 + high**2) / (2 * low))
+        corrected.append(high / low + (1 + high**2) * high**2 / low)
+    return min(printed), min(corrected)
 
 
 def noisy_rms(products: tuple[float, ...]) -> dict[float, float]:
@@ -130,11 +189,23 @@ if __name__ == "__main__":
         rows = [int(np.argmin(np.abs(result.time - t))) for t in TIMES if t <= result.time[-1] + 1e-9]
         print(name, "|e| at", ", ".join(f"{result.time[row]:g}: {error(result)[row]:.3g}" for row in rows))
     for name in systems[:3]:
-        print(name, "largest |Q|, |P| along the run: {:.4g}, {:.4g}".format(*norms_of_Q(results[name])))
+        result, found = results[name], error(results[name])
+        rows = [int(np.argmin(np.abs(result.time - t))) for t in (1.0, 10.0)]
+        rate = math.log(found[rows[0]] / found[rows[1]]) / 9
+        print(name, "largest |Q|, |P| along the run: {:.4g}, {:.4g}".format(*norms_of_Q(result)), end="; ")
+        print(f"decay guaranteed {result['observer.diagnostics.guaranteed_rate'][0]:.3g} 1/s, found {rate:.3g} 1/s")
     for name in systems[3:]:
         factors = [results[name][f"observer.diagnostics.{f}contraction"].max() for f in ("", "certified_")]
         print(name, "largest contraction, actual and certified: {:.3f}, {:.3f}".format(*factors))
-    print("gamma p0 that certifies every interval:", {T: f"{needed_gain(T):.3g}" for T in (0.25, 2.0)})
+    for T in (0.25, 2.0):
+        for what, starts in (("k T", np.arange(0, 20, T)), ("any phase", np.linspace(0, 20 - T, 400))):
+            print(
+                f"T = {T:g}, intervals from {what}: gamma p0 that certifies them: {{:.4g}}, {{:.4g}}".format(
+                    *needed_gain(T, starts)
+                )
+            )
+    print("A(t) that switches, error against max_step:", {h: f"{switching_error(h):.1e}" for h in SUBSTEPS})
+    print("5.1, q by Corollary 3.1, as printed and corrected: {:.1e}, {:.1e}".format(*bound_of_corollary_3_1()))
     print("noise 0.1, rms error against gamma p0:", {k: f"{v:.4f}" for k, v in noisy_rms((0.5, 1, 2, 4, 8)).items()})
     labels = ("5.1", "5.2, x0 = (1, -1), m0 = 0", "5.2, x0 = (3, 2), m0 = (-3, -2)")
     riccati_errors(dict(zip(labels, (results[name] for name in systems[:3]), strict=True)))

@@ -39,8 +39,8 @@ class Port(Variable):
     """A variable of a component: a Variable with the FMI attributes that depend on its use.
 
     `kind` is "Real", "Integer", "Boolean" (0 or 1) or "Enumeration" (then `enumeration` says which); all travel as doubles.
-    `variability` is "continuous" or "discrete" (inputs, outputs), "tunable" or "fixed" (parameters), "constant" (constants). `local` marks an output
-    that is shown, not connected.
+    `variability` is "continuous" or "discrete" (inputs, outputs), "tunable" or "fixed" (parameters), "constant" (constants). `local`
+    marks an output that is shown, not connected.
     """
 
     kind: str = "Real"

@@ -94,6 +94,7 @@ def james_baras(
     if unknown:
         raise ValueError(f"james_baras: expose = {unknown[0]!r} is unknown; known: Q")
     refuse_undetectable(model, "james_baras")
+    period = ports.sample_time("james_baras", sample_time)
     line = linearisation(model)
     design = _design(model, line, N, R, Q0)
     known = certificate(model, line, design.N.start, design.R.start, design.Q0.start)
@@ -146,7 +147,7 @@ def james_baras(
             min=0.0,
             variability="fixed",
         ),
-        Port("sample_time", "sample time Ts", "s", sample_time, min=1e-6, variability="fixed"),
+        period,
     )
     return Component(
         name=name or f"{model.name}_riccati",

@@ -19,7 +19,6 @@ What deviates from the paper, and why:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -27,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from observers import fault_detector, ports
-from observers.component import SHORTEST_SAMPLE_TIME, Component, Port
+from observers.component import Component, Port
 from observers.dae import Dae, relaxed
 from observers.dae_gain import Design, Gain, exact, given, observable_pair, regional
 from observers.dae_ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
@@ -79,8 +78,7 @@ def nikoukhah(
         ValueError: an option out of range.
     """
     refuse(model, "nikoukhah", "algebraic")
-    if not (math.isfinite(sample_time) and sample_time >= SHORTEST_SAMPLE_TIME):
-        raise ValueError(f"nikoukhah: sample_time = {sample_time:g} must be at least {SHORTEST_SAMPLE_TIME:g}")
+    period = ports.sample_time("nikoukhah", sample_time)
     if form not in ("w", "bdf"):
         raise ValueError(f"nikoukhah: form = {form!r} must be 'w' or 'bdf'")
     if not 1 <= order <= MOST:
@@ -120,7 +118,7 @@ def nikoukhah(
         jump=jump,
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)]),
         inputs=ports.inputs(model),
-        parameters=(*ports.guesses(model, guess or {}), *known, _sample_time(sample_time), *tuning),
+        parameters=(*ports.guesses(model, guess or {}), *known, period, *tuning),
         outputs=(
             *ports.estimates(model),
             *disturbances(model),
@@ -284,7 +282,3 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
 def _head(column: Any, count: int) -> Any:
     """The first entries of a column; an empty slice would be 1 x 0."""
     return column[:count] if count else ca.MX(0, 1)
-
-
-def _sample_time(start: float) -> Port:
-    return Port("sample_time", "sample time", "s", start, min=SHORTEST_SAMPLE_TIME, max=1e6, variability="fixed")

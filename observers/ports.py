@@ -5,10 +5,11 @@ Inputs are the model's outputs, then its known inputs. `estimate.*` is of the cu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from observers.component import Enumeration, Port
+from observers.component import SHORTEST_SAMPLE_TIME, Enumeration, Port
 from observers.model import Model, ModelError, Variable
 
 PROCESS_NOISE = "process noise intensity per sqrt(s) of"
@@ -30,6 +31,17 @@ def status(enumeration: Enumeration) -> Port:
         enumeration=enumeration,
         variability="discrete",
     )
+
+
+def sample_time(owner: str, start: float) -> Port:
+    """The fixed parameter `sample_time`, Ts [s], of an observer whose algebra does not depend on it.
+
+    Raises:
+        ValueError: `start` is not finite or below SHORTEST_SAMPLE_TIME.
+    """
+    if not (math.isfinite(start) and start >= SHORTEST_SAMPLE_TIME):
+        raise ValueError(f"{owner}: sample_time = {start:g} must be at least {SHORTEST_SAMPLE_TIME:g} s and finite")
+    return Port("sample_time", "sample time", "s", start, min=SHORTEST_SAMPLE_TIME, max=1e6, variability="fixed")
 
 
 def last_name(port: Port) -> str:

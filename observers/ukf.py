@@ -16,7 +16,6 @@ What deviates, and why:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +23,7 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
-from observers.component import SHORTEST_SAMPLE_TIME, Component, Enumeration, Port
+from observers.component import Component, Enumeration, Port
 from observers.linearisation import refuse_unobservable
 from observers.model import Model, refuse
 from observers.numerics import linear
@@ -80,8 +79,7 @@ def ukf(
         ValueError: sample_time out of range.
     """
     refuse(model, "ukf", "algebraic", "unknown_disturbances")
-    if not (math.isfinite(sample_time) and sample_time >= SHORTEST_SAMPLE_TIME):
-        raise ValueError(f"ukf: sample_time = {sample_time:g} must be at least {SHORTEST_SAMPLE_TIME:g}")
+    period = ports.sample_time("ukf", sample_time)
     eq = model.equations
     estimated = (*model.states, *model.unknown_parameters)
     refuse_unobservable(model, "ukf")
@@ -96,9 +94,6 @@ def ukf(
         start=1.0,
         min=0.0,
         variability="tunable",
-    )
-    period = Port(
-        "sample_time", "sample time", "s", sample_time, min=SHORTEST_SAMPLE_TIME, max=1e6, variability="fixed"
     )
 
     n, ny, nu, nx = len(estimated), len(model.outputs), len(model.inputs), len(model.states)

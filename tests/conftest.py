@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import fmpy
+import linear_models
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import (
@@ -36,6 +38,8 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     "draining_toy": draining_toy,
     "rlc": rlc,
     "duffing": lambda: plant(DUFFING, jumps={"theta": 2}),
+    "linear_3_least_squares": lambda: linear_models.least_squares(3),
+    **{f"linear_{n}_riccati": partial(linear_models.riccati, n) for n in range(1, linear_models.LARGEST + 1)},
 }
 
 

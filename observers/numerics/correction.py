@@ -24,15 +24,7 @@ def correction(n: int, ny: int) -> ca.Function:
     C_valid = keep @ C
     Rd_valid = keep @ Rd @ keep + ca.diag(1 - valid)
     QC = Q @ C_valid.T
-    K = _solved(ny, n)(symmetric(C_valid @ QC + Rd_valid), QC.T).T
+    K = linear.solver(ny, n)(symmetric(C_valid @ QC + Rd_valid), QC.T).T
     L = ca.MX.eye(n) - K @ C_valid
     m_after = m + K @ (valid * r)
     return ca.Function("correction", [m, Q, C, r, Rd, valid], [m_after, symmetric(L @ Q @ L.T + K @ Rd_valid @ K.T)])
-
-
-@cache
-def _solved(n: int, m: int) -> ca.Function:
-    """solved(A, B) -> A^-1 B for a symmetric positive definite A (n x n), B (n x m)."""
-    A, B = ca.SX.sym("A", n, n), ca.SX.sym("B", n, m)
-    LU = linear.lu_factor(A)
-    return ca.Function("solved", [A, B], [linear.backward(LU, linear.forward(LU, B))])

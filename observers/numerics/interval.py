@@ -54,8 +54,12 @@ def ranges(function: ca.Function, box: Sequence[Sequence[arb]]) -> list[Range]:
         elif code in _OPERATIONS:
             work[outputs[0]] = _OPERATIONS[code](*[work[i] for i in inputs])
         else:
-            raise IntervalError(f"operation {code} of CasADi ({function.name()}) has no interval arithmetic here")
+            raise IntervalError(f"no interval arithmetic is known for CasADi's operation {_name(code)}")
     return [_range(function.sparsity_out(i), values) for i, values in enumerate(results)]
+
+
+def _name(code: int) -> str:
+    return next(name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == code)
 
 
 def _range(pattern: ca.Sparsity, values: np.ndarray) -> Range:

@@ -5,6 +5,8 @@ Own code, not a library's: CasADi's solvers either do not generate C, or generat
 
 from __future__ import annotations
 
+from functools import cache
+
 import casadi as ca
 
 
@@ -141,3 +143,11 @@ def inverse(A: ca.SX) -> ca.SX:
     """A^-1 (n x n) by elimination without pivoting, see `lu_factor`."""
     LU = lu_factor(A)
     return backward(LU, forward(LU, ca.SX.eye(A.shape[0])))
+
+
+@cache
+def solver(n: int, m: int) -> ca.Function:
+    """solver(A, B) -> A^-1 B for a symmetric positive definite A (n x n), which needs no pivots; B (n x m)."""
+    A, B = ca.SX.sym("A", n, n), ca.SX.sym("B", n, m)
+    LU = lu_factor(A)
+    return ca.Function("solver", [A, B], [backward(LU, forward(LU, B))])
