@@ -25,16 +25,18 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from observers import fault_detector, ports
 from observers.component import SHORTEST_SAMPLE_TIME, Component, Port
 from observers.dae import Dae, relaxed
-from observers.dae_gain import Design, Gain, exact, given, observable_pair, regional
+from observers.dae_gain import Design, Gain, exact, given, reduced_pair, regional
 from observers.dae_ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
-from observers.dae_steps import ITERATIONS, bdf_step, consistent, samples_needed, w_step
+from observers.dae_steps import bdf_step, consistent, integrated
 from observers.model import Model, refuse
 from observers.numerics.bdf import MOST
 from observers.numerics.exact import product
+from observers.numerics.interpolation import HIGHEST
 from observers.numerics.iteration import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
@@ -48,11 +50,12 @@ def nikoukhah(
     *,
     sample_time: float,
     gain: str | Design = "exact",
-    poles: Sequence[float] | None = None,
+    poles: Sequence[complex] | None = None,
     alpha: float = 10.0,
-    X: Sequence[float] | None = None,
+    X: ArrayLike | None = None,
     form: str = "w",
     order: int = 2,
+    degree: int = 3,
     guess: Mapping[str, float] | None = None,
     name: str | None = None,
     max_step: float = 0.01,
@@ -68,6 +71,8 @@ def nikoukhah(
         alpha, X: for "regional", the decay rate [1/s] and the diagonal of X, one entry for each output; 1 each if absent. Tunable.
         form: "w" (Runge-Kutta on the w-form) or "bdf" (the paper's section 4).
         order: of the backward differentiation, 1 to 5.
+        degree: of the polynomial through past measurements that the w-form takes between samples, 1 to 9. A higher one follows faster
+            signals and amplifies noise near half the sampling frequency.
         guess: start values of `guess.*` that differ from the model's. The first sample projects it onto h(x) = y.
         name: the component's name; `<model>_nikoukhah` if absent.
         max_step: the longest prediction step [s] (classical Runge-Kutta).
@@ -85,15 +90,18 @@ def nikoukhah(
         raise ValueError(f"nikoukhah: form = {form!r} must be 'w' or 'bdf'")
     if not 1 <= order <= MOST:
         raise ValueError(f"nikoukhah: order = {order} must be 1 to {MOST}")
+    if not 1 <= degree <= HIGHEST:
+        raise ValueError(f"nikoukhah: degree = {degree} must be 1 to {HIGHEST}")
     dae, checked = relaxed(model), region(model)
-    _check(dae, checked)
+    # How far left what no gain moves must lie: exact placement leaves nothing, a given gain is asked for stability.
+    _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
     chosen = _gain(model, dae, checked, gain, poles, alpha, X)
 
     nu = len(model.inputs)
     known = ports.known_parameters(model)
     tuning = (*chosen.tuning, *fault_detector.TUNING)
     settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=3)
-    jump, state = _jump(model, dae, chosen, settings, form, order)
+    jump, state = _jump(model, dae, chosen, settings, form, order, degree)
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", dae.n_outputs + nu)
     p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), settings.unpack(p)
@@ -140,6 +148,14 @@ def nikoukhah(
                 variability="constant",
                 local=True,
             ),
+            Port(
+                "structure.degree",
+                "degree of the polynomial through past measurements; 0: backward differentiation, which needs none",
+                start=0 if form == "bdf" else degree,
+                kind="Integer",
+                variability="constant",
+                local=True,
+            ),
         ),
         sample_time="sample_time",
         samples_inputs=True,
@@ -147,17 +163,21 @@ def nikoukhah(
         stop_time=stop_time,
         step_size=sample_time,
         counters=(SINGULAR.name, *(port.name for port in ports.COUNTERS)),
-        documentation=documentation(model, chosen, form, order),
+        documentation=documentation(model, chosen, form, order, degree),
     )
 
 
-def _check(dae: Dae, checked: Region) -> None:
-    """The assumptions of Theorem 3.2 at points of the region; (2.11) then has index 1 there (Lemma 2.1)."""
-    observability, C = observable_pair(dae)
+def _check(dae: Dae, checked: Region, left_of: float) -> None:
+    """The assumptions of Theorem 3.2 at points of the region; (2.11) then has index 1 there (Lemma 2.1).
+
+    The proof of Lemma 3.2 needs less than observability: what (C, A) hides must decay faster than exp(-left_of t) by itself.
+    """
     at = dae.arguments
-    checked.require_rank("nikoukhah", "h_x", ca.Function("C", at, [ca.densify(C)]), dae.n_outputs)
-    matrix = ca.Function("observability", at, [ca.densify(observability)])
-    checked.require_rank("nikoukhah", "the observability matrix of (h_x, f_x)", matrix, dae.n - dae.n_disturbances)
+    checked.require_rank("nikoukhah", "h_x", ca.Function("C", at, [ca.densify(dae.C)]), dae.n_outputs)
+    hidden = ", ".join(v.name for v in checked.model.unknown_disturbances)
+    what = f"what the unknown disturbances ({hidden}) leave of (h_x, f_x)" if hidden else "(h_x, f_x)"
+    pair = ca.Function("pair", at, [ca.densify(block) for block in reduced_pair(dae)])
+    checked.require_detectable("nikoukhah", what, pair, left_of)
 
 
 def _gain(
@@ -165,9 +185,9 @@ def _gain(
     dae: Dae,
     checked: Region,
     gain: str | Design,
-    poles: Sequence[float] | None,
+    poles: Sequence[complex] | None,
     alpha: float,
-    X: Sequence[float] | None,
+    X: ArrayLike | None,
 ) -> Gain:
     if gain == "exact":
         return exact(dae, checked, poles if poles is not None else [-10.0] * (dae.n - dae.n_disturbances))
@@ -178,11 +198,13 @@ def _gain(
     return given(dae, model, gain)
 
 
-def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order: int) -> tuple[ca.Function, Layout]:
+def _jump(
+    model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order: int, degree: int
+) -> tuple[ca.Function, Layout]:
     """One sample, and the layout of the state it works on."""
     n, ny, nu, nd = dae.n, dae.n_outputs, len(model.inputs), dae.n_disturbances
     held, implicit = model.input_between_samples == "held", form == "bdf"
-    kept = 0 if implicit else samples_needed()
+    kept = 0 if implicit else degree
     state = Layout(
         x=n,  # the prediction: the estimate of the current time
         x_filtered=n,  # the estimate of the last sample instant, where h(x) = y
@@ -209,8 +231,9 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
 
     # A rejected measurement is replaced by its prediction.
     valid = ca.fabs(u[:ny]) <= HUGE  # false for NaN
-    predicted = ca.Function("h", [dae.x, dae.p, dae.t], [ca.densify(dae.h)])(s.x, q.model, t)
-    y = ca.if_else(valid, u[:ny], predicted)
+    outputs = ca.Function("outputs", dae.arguments, [ca.densify(dae.h), ca.densify(dae.r)])
+    predicted, added = outputs(s.x, known, q.model, t)
+    y = ca.if_else(valid, u[:ny] - added, predicted)
     any_valid, all_valid = ca.sum1(valid) > 0, ca.sum1(valid) == ny
 
     u_end = s.input_integral / Ts if held else known
@@ -225,11 +248,13 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
         d, y_kept, past = _head(mu_dot, nd), ca.MX(0, 1), ca.vertcat(*columns[: order - 1], ca.MX(0, 1))
     else:
         samples = [y, *(s.y[i * ny : (i + 1) * ny] for i in range(kept))]
-        x, mu, change = w_step(dae, gain)(s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain)
+        x, mu, change = integrated(dae, gain, degree)(
+            s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain
+        )
         # delta is known up to a constant: it counts from sample to sample.
         d, mu = _head(mu, nd) / Ts, ca.vertcat(ca.DM.zeros(nd), mu[nd:])
         y_kept, past = ca.vertcat(*samples[:kept]), ca.MX(0, 1)
-    x_first, _, change_first = consistent(dae, ITERATIONS)(s.x, y, s.x, ca.DM.zeros(ny), q.model, t)
+    x_first, _, change_first = consistent(dae)(s.x, y, s.x, ca.DM.zeros(ny), known, q.model, t)
     x, mu = ca.if_else(first, x_first, x), ca.if_else(first, 0, mu)
     d, change = ca.if_else(first, s.d, d), ca.if_else(first, change_first, change)
 

@@ -311,15 +311,15 @@ class _Any:
         ),
         (
             lambda: two(lambda x, u, p, t: [x.a, x.b], lambda x, u, p, t: [x.a]),
-            ("observability", "rank 1, not 2", "b ="),
+            ("rank 1, not 2", "no gain moves its eigenvalue 1", "b ="),
         ),
         (
             lambda: two(lambda x, u, p, t: [x.a, x.b], lambda x, u, p, t: [x.a, x.b, x.a + x.b]),
             ("3 outputs for 2 states",),
         ),
         (
-            lambda: two(lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a + u.w], inputs=[Variable("w")]),
-            ("y0", "depends on an input"),
+            lambda: two(lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a + x.a * u.w], inputs=[Variable("w")]),
+            ("y0", "other than by a sum", "linear"),
         ),
         (
             lambda: unfit(
@@ -344,7 +344,7 @@ class _Any:
                 unknown_disturbances=[Variable("load")],
                 ode=lambda x, u, p, t: [x.x2, -x.x1 - x.x3 + u.load, -x.x3],
             ),
-            ("observability", "rank 1, not 2"),
+            ("load", "rank 1, not 2", "no gain moves its eigenvalue -1"),
         ),
     ],
     ids=[
@@ -372,13 +372,31 @@ def test_a_model_that_breaks_an_assumption_is_refused_by_name(make, words):
         ({"form": "euler"}, ("form", "euler")),
         ({"form": "bdf", "order": 6}, ("order", "6")),
         ({"poles": [-1.0]}, ("poles", "3")),
-        ({"poles": [-1.0, 0.0, -1.0]}, ("poles", "negative")),
+        ({"poles": [-1.0, 0.0, -1.0]}, ("poles", "real parts")),
+        ({"poles": [-1.0, -1.0 + 2.0j, -1.0]}, ("-1+2j", "conjugate")),
         ({"gain": "best"}, ("gain", "best")),
         ({"gain": "regional", "alpha": -1.0}, ("alpha", "-1")),
-        ({"gain": "regional", "X": [1.0]}, ("X", "2 entries")),
+        ({"gain": "regional", "X": [1.0]}, ("X", "2 numbers or a 2 x 2 matrix")),
+        ({"gain": "regional", "X": [[1.0, 2.0], [2.0, 1.0]]}, ("X", "positive definite")),
+        ({"gain": "regional", "X": [[1.0, 0.2], [0.1, 1.0]]}, ("X", "symmetric")),
+        ({"degree": 10}, ("degree", "10")),
         ({"gain": lambda x, u, p, t: [[1, 2]]}, ("3 rows of 2",)),
     ],
-    ids=["sample_time", "form", "order", "poles", "stable", "gain", "alpha", "X", "shape"],
+    ids=[
+        "sample_time",
+        "form",
+        "order",
+        "poles",
+        "stable",
+        "lonely",
+        "gain",
+        "alpha",
+        "X",
+        "indefinite",
+        "skew",
+        "degree",
+        "shape",
+    ],
 )
 def test_an_option_out_of_range_is_refused_by_name(options, words):
     with pytest.raises(ValueError) as caught:
