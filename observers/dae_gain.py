@@ -30,20 +30,25 @@ from observers.region import Region
 
 Design = Callable[..., Iterable[Iterable[Any]]]  # (x, u, p, t) -> the rows of Gamma
 
+SMALLEST_GUARD = 1e-9
 INJECTIONS = 6  # preliminary output injections that are tried
 
 
 def _guard(description: str, start: float) -> Port:
-    return Port("tuning.singularity_guard", description, start=start, min=1e-9, variability="tunable")
+    return Port("tuning.singularity_guard", description, start=start, min=SMALLEST_GUARD, variability="tunable")
 
 
 @dataclass(frozen=True)
 class Gain:
-    """gamma(x, u, p, t, tuning) -> (Gamma (n x p - q), valid: 1 where the gain is what was asked for, else 0)."""
+    """gamma(x, u, p, t, tuning) -> (Gamma (n x p - q), valid: 1 where the gain is what was asked for, else 0).
+
+    `iterated`: Gamma is the result of an iteration, not of a formula.
+    """
 
     gamma: ca.Function
     tuning: tuple[Port, ...]
     description: str
+    iterated: bool = False
 
 
 def exact(dae: Dae, region: Region, wanted: Sequence[complex]) -> Gain:
@@ -62,8 +67,11 @@ def exact(dae: Dae, region: Region, wanted: Sequence[complex]) -> Gain:
     cyclic = A - ca.mtimes(ca.DM(J_p), C)
     J_1, determinant = ackermann(cyclic, ca.mtimes(ca.DM(v), C), placed.polynomial_at(cyclic), eps)
     K = ca.mtimes(J_1, ca.DM(v)) + ca.DM(J_p)
+    # A constant determinant is never near 0: what the guard takes off, eps^2 / det^2 of the gain, would be taken off for nothing.
+    moves = ca.depends_on(determinant, ca.vertcat(dae.x, dae.u, dae.t))
     guard = _guard(
-        "determinant of the observability matrix below which the gain is reduced instead of growing further", 1e-2
+        "determinant of the observability matrix below which the gain is reduced instead of growing further",
+        1e-2 if moves else SMALLEST_GUARD,
     )
     used = f"v = {_row(v)}" + (f", J_p = {J_p.tolist()}" if J_p.any() else "")
     tuning = ca.vertcat(placed.values, eps)
@@ -107,7 +115,7 @@ def regional(dae: Dae, alpha: float, X: ArrayLike) -> Gain:
     )
     valid = eps**2 * ca.sumsqr(P) < ca.fmax(1, 1e-2 * rate * ca.trace(P))
     tuning = ca.vertcat(rate, weighing.values, eps)
-    return _gain(dae, K, valid, tuning, ports, "regional placement by a Riccati equation")
+    return _gain(dae, K, valid, tuning, ports, "regional placement by a Riccati equation", iterated=True)
 
 
 def given(dae: Dae, model: Model, design: Design) -> Gain:
@@ -153,7 +161,9 @@ def reduced_pair(dae: Dae) -> tuple[ca.SX, ca.SX]:
     )
 
 
-def _gain(dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ...], description: str) -> Gain:
+def _gain(
+    dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ...], description: str, iterated: bool = False
+) -> Gain:
     """Gamma of K, (3.7)."""
     A = ca.jacobian(dae.f, dae.x)
     if dae.n_disturbances == 0:
@@ -163,7 +173,7 @@ def _gain(dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ..
         CM = ca.mtimes(dae.C.T, M)
         Gamma = ca.mtimes(ca.mtimes(R, K), ca.mtimes(CM.T, CM)) - ca.mtimes(A, ca.mtimes(Pi, CM))
     gamma = ca.Function("gamma", [*dae.arguments, tuning], [ca.densify(Gamma), valid], {"cse": True})
-    return Gain(gamma, ports, description)
+    return Gain(gamma, ports, description, iterated)
 
 
 def _single_output(dae: Dae, region: Region, A: ca.SX, C: ca.SX) -> tuple[np.ndarray, np.ndarray]:

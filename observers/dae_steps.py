@@ -88,7 +88,7 @@ def w_step(dae: Dae, gain: Gain, degree: int) -> Step:
 def moving_step(dae: Dae, gain: Gain, degree: int) -> Step:
     """What the w-form becomes where h_x moves: half-explicit Runge-Kutta on (2.10) itself, h(x) = y by Newton's method at each stage.
 
-    w' would hold (d/dt h_x)' lambda and with it y'. No variable instead of w is free of y', unless the outputs' gradients commute.
+    w' would hold (d/dt h_x)' lambda and with it y'; no variable instead of w is free of y' unless the outputs' gradients commute.
     Here h_x is not differentiated; for a constant h_x the step is Runge-Kutta on w.
     """
     mu, y, nu = (ca.SX.sym(name, dae.n_outputs) for name in ("mu", "y", "nu"))
@@ -130,18 +130,25 @@ def moving_step(dae: Dae, gain: Gain, degree: int) -> Step:
 def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, Any, Any]]:
     """step(x, mu, y, past, k, u, p, t, Ts, tuning) -> (x, mu, change, mu') at t: (4.3) by BDF of `order`, Newton's method from (x, mu).
 
+    The derivative of an iterated gain is left out of Newton's matrix: its code would be thirty times the gain's own.
     `past`: the columns (x, mu) at t - Ts, t - 2 Ts, ..., as many as `order`; the order grows with the `k` of them that are there.
     """
     mu, y, tuning = ca.SX.sym("mu", dae.n_outputs), ca.SX.sym("y", dae.n_outputs), _tuning(gain)
     both = ca.vertcat(dae.x, mu)
     a_0, older, Ts = ca.SX.sym("a_0"), ca.SX.sym("older", both.numel()), ca.SX.sym("Ts")
     moved = a_0 * both + older  # Ts (x', mu')
-    residual = ca.vertcat(
-        moved[: dae.n] - ca.mtimes(dae.G, moved[dae.n :]) - Ts * _forced(dae, gain, mu, tuning),
-        dae.h - y,
-    )
+    Gamma = gain.gamma(*dae.arguments, tuning)[0]
+
+    def residual(Gamma: ca.SX) -> ca.SX:
+        forced = dae.f + ca.mtimes(Gamma, mu[dae.n_disturbances :])
+        return ca.vertcat(moved[: dae.n] - ca.mtimes(dae.G, moved[dae.n :]) - Ts * forced, dae.h - y)
+
+    slope = ca.jacobian(residual(Gamma), both)  # (4.4) with -Gamma, (4.5)
+    if gain.iterated:
+        held = ca.SX.sym("Gamma", *Gamma.shape)
+        slope = ca.substitute(ca.jacobian(residual(held), both), held, Gamma)
     arguments = [both, y, a_0, older, *_at(dae), Ts, tuning]
-    correction = _solved(ca.jacobian(residual, both), residual)  # (4.4) with -Gamma, (4.5)
+    correction = _solved(slope, residual(Gamma))
     newton = ca.Function("newton", arguments, [ca.densify(both - correction)], {"cse": True})
 
     def step(
