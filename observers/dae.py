@@ -100,7 +100,7 @@ def relaxed(model: Model) -> Dae:
     if q >= p:
         raise ModelError(
             f"nikoukhah: model '{model.name}' has {q} unknown disturbances ({names}) and {p} outputs: "
-            "it takes one output each, and one more whose relaxation corrects the states"
+            "it takes one output each, and one more whose relaxation corrects the states. A slow one can be an unknown parameter instead"
         )
     E_symbolic, C_symbolic = ca.jacobian(f, eq.w), C
     if not (E_symbolic.is_constant() and C_symbolic.is_constant()):

@@ -7,9 +7,9 @@ x is the estimate; lambda, the relaxation, goes to zero with its error and is a 
 and the model contradict each other. `dae` holds the equations, `dae_gain` the choice of Gamma (section 3), `dae_steps` the integration.
 
 What deviates from the paper, and why:
-- The w-form, w = x - h_x' lambda, w' = f + Gamma lambda - (d/dt h_x)' lambda, is the same DAE as an ODE of w; x and lambda follow from
-  w and (2.11). Classical Runge-Kutta steps it from sample to sample, y between them on the cubic through the last four. Only where
-  h_x moves does it take y', the cubic's, times lambda. The paper's BDF is there too (`form="bdf"`).
+- The w-form, w = x - h_x' lambda, w' = f + Gamma lambda for a constant h_x, is the same DAE as an ODE of w; x and lambda follow from
+  w and (2.11). Classical Runge-Kutta steps it from sample to sample, y between them on a polynomial through the last few. Where h_x
+  moves, a half-explicit Runge-Kutta method does, free of y' as well. The paper's BDF is there too (`form="bdf"`).
 - (5.5) to (5.7) have a wrong sign in the third entry (one eigenvalue would be +2.19); Gamma is made by automatic differentiation.
   (2.58) and the Gamma block of (4.4) are misprinted as well.
 - Divisions of the gain are guarded where the pair (C, A) is not observable; such samples are counted.
@@ -67,8 +67,9 @@ def nikoukhah(
         sample_time: start value of the fixed parameter `sample_time`, Ts [s].
         gain: "exact" places all eigenvalues of the linearised error dynamics (3.17)-(3.22), "regional" shifts them left of -alpha by the
             Riccati equation (3.25), (3.26); or a function `(x, u, p, t)` that returns the rows of Gamma (n x p), written like the model.
-        poles: for "exact", the eigenvalues [1/s], one for each state; -10 each if absent. Tunable.
-        alpha, X: for "regional", the decay rate [1/s] and the diagonal of X, one entry for each output; 1 each if absent. Tunable.
+        poles: for "exact", the eigenvalues [1/s], one for each state (less the unknown disturbances), real or in conjugate pairs; -10 each
+            if absent. Tunable.
+        alpha, X: for "regional", the decay rate [1/s] and X, its diagonal or all of it (p - q x p - q); the identity if absent. Tunable.
         form: "w" (Runge-Kutta on the w-form) or "bdf" (the paper's section 4).
         order: of the backward differentiation, 1 to 5.
         degree: of the polynomial through past measurements that the w-form takes between samples, 1 to 9. A higher one follows faster
@@ -79,8 +80,9 @@ def nikoukhah(
         stop_time: of the default experiment [s].
 
     Raises:
-        ModelError: algebraic variables; outputs that depend on inputs or are not independent, states that are not observable, at a point of
-            the model's region that is named; unknown disturbances with which the DAE's index is not 1.
+        ModelError: algebraic variables; outputs that a held input moves other than by a sum; unknown disturbances with which the DAE's
+            index is not 1; at a point of the model's region that is named, outputs that are not independent, or states that are not
+            observable and do not decay as fast as the gain promises.
         ValueError: an option out of range.
     """
     refuse(model, "nikoukhah", "algebraic")

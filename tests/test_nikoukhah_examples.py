@@ -85,6 +85,12 @@ def test_an_actuator_fault_is_detected_within_50_ms_and_noise_alone_never_in_60_
         assert detected[result.time > first].mean() > 0.5
 
 
+def test_an_actuator_fault_drives_lambda_2_to_the_references_0_31(example: Example) -> None:
+    fault = {"plant.model.actuator_fault_jump_time[1]": 4.0, "plant.model.actuator_fault_jump_value[1]": 2.0}
+    residual = np.abs(example("motor", overrides=fault)["observer.diagnostics.lambda[2]"])
+    assert residual[3500:4000].max() < 6e-4 and residual[4001:].max() == pytest.approx(0.31, rel=0.03)
+
+
 def test_a_sensor_bias_shows_in_lambda_2_at_its_size(example: Example) -> None:
     bias = {"plant.model.bias_y2_jump_time[1]": 4.0, "plant.model.bias_y2_jump_value[1]": 0.1}
     result = example("motor", overrides=bias)
