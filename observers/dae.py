@@ -135,8 +135,8 @@ def _split(model: Model, x: ca.SX) -> tuple[ca.SX, ca.SX]:
     for variable, output in zip(model.outputs, ca.vertsplit(eq.output), strict=True):
         if ca.depends_on(output, eq.w):
             raise ModelError(
-                f"nikoukhah: output '{variable.name}' of model '{model.name}' depends on an unknown disturbance: its derivative would "
-                "enter the DAE, whose index then exceeds 1"
+                f"nikoukhah: output '{variable.name}' of model '{model.name}' depends on an unknown disturbance: whatever the states "
+                "are, some disturbance explains it. Leave the output out, or make the disturbance an unknown parameter"
             )
         inside = bool(model.inputs) and ca.depends_on(ca.jacobian(output, x), eq.u)
         if inside and model.input_between_samples == "held":

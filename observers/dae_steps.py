@@ -130,7 +130,7 @@ def moving_step(dae: Dae, gain: Gain, degree: int) -> Step:
 def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, Any, Any]]:
     """step(x, mu, y, past, k, u, p, t, Ts, tuning) -> (x, mu, change, mu') at t: (4.3) by BDF of `order`, Newton's method from (x, mu).
 
-    The derivative of an iterated gain is left out of Newton's matrix: its code would be thirty times the gain's own.
+    The derivative of an iterated gain is left out of Newton's matrix: its code would be five times the gain's own.
     `past`: the columns (x, mu) at t - Ts, t - 2 Ts, ..., as many as `order`; the order grows with the `k` of them that are there.
     """
     mu, y, tuning = ca.SX.sym("mu", dae.n_outputs), ca.SX.sym("y", dae.n_outputs), _tuning(gain)

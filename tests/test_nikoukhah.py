@@ -332,6 +332,12 @@ class _Any:
             ("y0", "other than by a sum", "linear"),
         ),
         (
+            lambda: two(
+                lambda x, u, p, t: [x.b, 0], lambda x, u, p, t: [x.a + u.w, x.b], unknown_disturbances=[Variable("w")]
+            ),
+            ("y0", "depends on an unknown disturbance"),
+        ),
+        (
             lambda: unfit(
                 unknown_disturbances=[Variable("load")],
                 ode=lambda x, u, p, t: [x.x2, -x.x1 - x.x3, -x.x3 + u.load],
@@ -361,7 +367,8 @@ class _Any:
         "dependent",
         "unobservable",
         "too many",
-        "feedthrough",
+        "input inside",
+        "disturbed output",
         "index 2",
         "no relaxation left",
         "state times load",

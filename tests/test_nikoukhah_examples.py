@@ -97,6 +97,10 @@ def test_a_sensor_bias_shows_in_lambda_2_at_its_size(example: Example) -> None:
     assert np.abs(result["observer.diagnostics.lambda[2]"][4050:] - 0.1).max() < 1e-3
     assert np.abs(result["observer.diagnostics.lambda[1]"][4050:]).max() < 1e-3
     assert result["observer.diagnostics.fault"][4010] == fault_detector.DETECTED
+    for seed in range(3):
+        noisy = example("motor", overrides=NOISE | bias | {"plant.sensor.seed": seed})
+        assert noisy["observer.diagnostics.lambda[2]"][4050:].mean() == pytest.approx(0.1, abs=1e-3)
+        assert np.abs(noisy["observer.diagnostics.lambda[2]"][4050:] - 0.1).max() < 0.01
 
 
 @pytest.mark.parametrize("name", ["motor", "motor_regional", "motor_bdf"])
