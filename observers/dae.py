@@ -97,10 +97,10 @@ def relaxed(model: Model) -> Dae:
             x, eq.u, eq.p, eq.t, f, h, r, C, C.T, np.zeros((n, 0)), np.eye(p), _nothing(n), np.eye(n), N_inverse=None
         )
     names = ", ".join(v.name for v in model.unknown_disturbances)
-    if q >= p:
+    if q > p:
         raise ModelError(
-            f"nikoukhah: model '{model.name}' has {q} unknown disturbances ({names}) and {p} outputs: "
-            "it takes one output each, and one more whose relaxation corrects the states. A slow one can be an unknown parameter instead"
+            f"nikoukhah: model '{model.name}' has {q} unknown disturbances ({names}) and {p} outputs: it takes one output each, "
+            "or the index exceeds 1"
         )
     E_symbolic, C_symbolic = ca.jacobian(f, eq.w), C
     if not (E_symbolic.is_constant() and C_symbolic.is_constant()):

@@ -118,6 +118,12 @@ def regional(dae: Dae, alpha: float, X: ArrayLike) -> Gain:
     return _gain(dae, K, valid, tuning, ports, "regional placement by a Riccati equation", iterated=True)
 
 
+def nothing_to_place(dae: Dae) -> Gain:
+    """The gain beside as many unknown disturbances as outputs: no lambda is left, what is left of the states decays by itself."""
+    gamma = ca.Function("gamma", [*dae.arguments, ca.SX(0, 1)], [ca.SX(dae.n, 0), ca.SX(1)])
+    return Gain(gamma, (), "no relaxation left to place eigenvalues with")
+
+
 def given(dae: Dae, model: Model, design: Design) -> Gain:
     """The user's own Gamma(x, u), written with names like the model's equations: rows for the states, then the unknown parameters.
 

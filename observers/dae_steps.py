@@ -140,7 +140,7 @@ def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, 
     Gamma = gain.gamma(*dae.arguments, tuning)[0]
 
     def residual(Gamma: ca.SX) -> ca.SX:
-        forced = dae.f + ca.mtimes(Gamma, mu[dae.n_disturbances :])
+        forced = dae.f + ca.mtimes(Gamma, _lambda(dae, mu))
         return ca.vertcat(moved[: dae.n] - ca.mtimes(dae.G, moved[dae.n :]) - Ts * forced, dae.h - y)
 
     slope = ca.jacobian(residual(Gamma), both)  # (4.4) with -Gamma, (4.5)
@@ -172,7 +172,12 @@ def _at(dae: Dae) -> list[ca.SX]:
 def _forced(dae: Dae, gain: Gain, mu: ca.SX, tuning: ca.SX) -> ca.SX:
     """f + Gamma_bar mu (n x 1)."""
     Gamma = gain.gamma(*dae.arguments, tuning)[0]
-    return dae.f + ca.mtimes(Gamma, mu[dae.n_disturbances :])
+    return dae.f + ca.mtimes(Gamma, _lambda(dae, mu))
+
+
+def _lambda(dae: Dae, mu: ca.SX) -> ca.SX:
+    """The relaxations of mu (p - q x 1); an empty slice would be 1 x 0."""
+    return mu[dae.n_disturbances :] if dae.n_lambda else ca.SX(0, 1)
 
 
 def _solved(A: ca.SX, b: ca.SX) -> ca.SX:

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from observers import fault_detector, ports
 from observers.component import SHORTEST_SAMPLE_TIME, Component, Port
 from observers.dae import Dae, relaxed
-from observers.dae_gain import Design, Gain, exact, given, reduced_pair, regional
+from observers.dae_gain import Design, Gain, exact, given, nothing_to_place, reduced_pair, regional
 from observers.dae_ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
 from observers.dae_steps import bdf_step, consistent, integrated
 from observers.model import Model, refuse
@@ -101,8 +101,10 @@ def nikoukhah(
 
     nu = len(model.inputs)
     known = ports.known_parameters(model)
-    tuning = (*chosen.tuning, *fault_detector.TUNING)
-    settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=3)
+    # Without a relaxation there is no residual to watch.
+    detector = fault_detector.TUNING if dae.n_lambda else ()
+    tuning = (*chosen.tuning, *detector)
+    settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=len(detector))
     jump, state = _jump(model, dae, chosen, settings, form, order, degree)
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", dae.n_outputs + nu)
     p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
@@ -118,8 +120,8 @@ def nikoukhah(
         "status": ca.DM(CODE.initial_guess),
         "fault": ca.DM(fault_detector.SETTLING),
     }
-    shown = [s.x, s.x_filtered, s.d, s.d, s.status, s.mu[dae.n_disturbances :], s.fault, s.innovation]
-    shown += [s.singular, s.rejected, s.failures]
+    residual = [s.mu[dae.n_disturbances :], s.fault] if dae.n_lambda else []
+    shown = [s.x, s.x_filtered, s.d, s.d, s.status, *residual, s.innovation, s.singular, s.rejected, s.failures]
     return Component(
         name=name or f"{model.name}_nikoukhah",
         description=f"Canonical DAE observer for {model.name} (Nikoukhah 1995), {chosen.description}",
@@ -136,7 +138,7 @@ def nikoukhah(
             *disturbances(model),
             STATUS,
             *lambdas(model, dae),
-            fault_detector.PORT,
+            *([fault_detector.PORT] if dae.n_lambda else []),
             *ports.innovations(model),
             SINGULAR,
             *ports.COUNTERS,
@@ -191,6 +193,12 @@ def _gain(
     alpha: float,
     X: ArrayLike | None,
 ) -> Gain:
+    if dae.n_lambda == 0:
+        if poles or X is not None or gain not in ("exact", "regional"):
+            raise ValueError(
+                f"nikoukhah: model '{model.name}' has as many unknown disturbances as outputs: no relaxation is left for poles, X or a gain of one's own"
+            )
+        return nothing_to_place(dae)
     if gain == "exact":
         return exact(dae, checked, poles if poles is not None else [-10.0] * (dae.n - dae.n_disturbances))
     if gain == "regional":
@@ -254,7 +262,7 @@ def _jump(
             s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain
         )
         # delta is known up to a constant: it counts from sample to sample.
-        d, mu = _head(mu, nd) / Ts, ca.vertcat(ca.DM.zeros(nd), mu[nd:])
+        d, mu = _head(mu, nd) / Ts, (ca.vertcat(ca.DM.zeros(nd), mu[nd:]) if dae.n_lambda else ca.DM.zeros(nd))
         y_kept, past = ca.vertcat(*samples[:kept]), ca.MX(0, 1)
     x_first, _, change_first = consistent(dae)(s.x, y, s.x, ca.DM.zeros(ny), known, q.model, t)
     x, mu = ca.if_else(first, x_first, x), ca.if_else(first, 0, mu)
@@ -268,13 +276,15 @@ def _jump(
     d = ca.if_else(accepted, d, s.d)
     singular = ca.logic_not(gain.gamma(x, known, q.model, t, q.gain)[1])
 
-    scale = product(np.abs(dae.M.T), np.array([[v.nominal] for v in model.outputs]))
-    size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
-    threshold, persistence, settling = ca.vertsplit(q.detector)
-    detected = fault_detector.detect(s.fault, s.above, s.below, size, threshold, persistence, settling, Ts)
-    fault, above, below = (
-        ca.if_else(any_valid, new, old) for new, old in zip(detected, (s.fault, s.above, s.below), strict=True)
-    )
+    fault, above, below = s.fault, s.above, s.below
+    if dae.n_lambda:
+        scale = product(np.abs(dae.M.T), np.array([[v.nominal] for v in model.outputs]))
+        size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
+        threshold, persistence, settling = ca.vertsplit(q.detector)
+        detected = fault_detector.detect(fault, above, below, size, threshold, persistence, settling, Ts)
+        fault, above, below = (
+            ca.if_else(any_valid, new, old) for new, old in zip(detected, (fault, above, below), strict=True)
+        )
     status: Any = CODE.estimating
     for condition, code in (
         (singular, CODE.singular_gain),

@@ -346,7 +346,15 @@ class _Any:
         ),
         (
             lambda: two(lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a], unknown_disturbances=[Variable("w")]),
-            ("1 unknown disturbances (w) and 1 outputs",),
+            ("w", "rank 0, not 1", "index"),
+        ),
+        (
+            lambda: two(
+                lambda x, u, p, t: [u.v, u.w],
+                lambda x, u, p, t: [x.a],
+                unknown_disturbances=[Variable("v"), Variable("w")],
+            ),
+            ("2 unknown disturbances (v, w) and 1 outputs", "index"),
         ),
         (
             lambda: unfit(
@@ -370,7 +378,8 @@ class _Any:
         "input inside",
         "disturbed output",
         "index 2",
-        "no relaxation left",
+        "unmeasured force",
+        "too few outputs",
         "state times load",
         "hidden",
     ],

@@ -242,6 +242,45 @@ def test_a_load_torque_is_estimated_as_fast_as_the_field_that_it_hides_decays(fm
     np.testing.assert_allclose(found[5001:, 1] - 3.0, expected[5000:], atol=0.02)
 
 
+ROOM = Model(
+    name="room",
+    description="A room whose air is measured and whose wall is not",
+    states=[Variable("air", unit="K"), Variable("wall", unit="K")],
+    outputs=[Variable("y", unit="K")],
+    unknown_disturbances=[Variable("heat", unit="K/s")],
+    ode=lambda x, u, p, t: [-(x.air - x.wall) / 2 - x.air + u.heat, -(x.wall - x.air) / 5],
+    output=lambda x, u, p, t: [x.air],
+)
+
+
+@pytest.mark.parametrize("form", ["w", "bdf"])
+def test_one_output_gives_one_disturbance_where_the_rest_decays_by_itself(fmu, form):
+    component = nikoukhah(
+        ROOM, sample_time=0.01, form=form, gain="regional", alpha=0.1, guess={"wall": 1.0}, name=f"room_{form}"
+    )
+    x = solve_ivp(
+        lambda t, x: [-(x[0] - x[1]) / 2 - x[0] + math.sin(t), -(x[1] - x[0]) / 5],
+        (0, 11),
+        [0, 0],
+        rtol=1e-10,
+        dense_output=True,
+    ).sol
+    slave = fmu(component).initialize()
+    found = follow(slave, 0.01, 1000, lambda t: {"y": x(t)[0]}, "filtered.wall", "filtered.heat", "diagnostics.status")
+    t = 0.01 * np.arange(1000)
+    np.testing.assert_allclose(found[:, 0] - x(t)[1], np.exp(-t / 5), atol=1e-5)
+    # The air's balance: an error of the wall is taken for half as much heat, the other way.
+    mean = t - 0.005 * (form == "w")
+    np.testing.assert_allclose(found[10:, 1], (np.sin(mean) - np.exp(-mean / 5) / 2)[10:], atol=1e-3)
+    assert set(found[:, 2]) == {CODE.estimating}
+    assert not any("lambda" in name or "fault" in name for name in slave.variables)
+
+
+def test_where_no_relaxation_is_left_poles_are_refused():
+    with pytest.raises(ValueError, match="no relaxation is left"):
+        nikoukhah(ROOM, sample_time=0.01, gain="regional", alpha=0.1, poles=[-1.0])
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

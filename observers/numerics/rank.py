@@ -14,6 +14,8 @@ ROUNDING = 1e-13  # a row this much shorter than its factors is zero
 def kernel(matrix: np.ndarray) -> np.ndarray:
     """An orthonormal basis of the null space of `matrix` (m x n), as rows (k x n). The matrix's rows are measured by their own length."""
     n = matrix.shape[1]
+    if n == 0:
+        return np.zeros((0, 0))
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     scaled = np.vstack([matrix / np.where(lengths > 0, lengths, 1.0), np.zeros((n, n))])
     _, singular, V = np.linalg.svd(scaled, full_matrices=False)
