@@ -51,6 +51,36 @@ class Gain:
     iterated: bool = False
 
 
+def choose(
+    model: Model,
+    dae: Dae,
+    region: Region,
+    gain: str | Design,
+    poles: Sequence[complex] | None,
+    alpha: float,
+    X: ArrayLike | None,
+) -> Gain:
+    """The gain that the options of `nikoukhah` ask for.
+
+    Raises:
+        ModelError, ValueError: as below; an unknown name, options without a relaxation that they could tune.
+    """
+    if dae.n_lambda == 0:
+        if poles or X is not None or gain not in ("exact", "regional"):
+            raise ValueError(
+                f"nikoukhah: model '{model.name}' has as many unknown disturbances as outputs: no relaxation is left for poles, X or a "
+                "gain of one's own"
+            )
+        return _nothing_to_place(dae)
+    if gain == "exact":
+        return exact(dae, region, poles if poles is not None else [-10.0] * (dae.n - dae.n_disturbances))
+    if gain == "regional":
+        return regional(dae, alpha, X if X is not None else [1.0] * dae.n_lambda)
+    if isinstance(gain, str):
+        raise ValueError(f"nikoukhah: gain = {gain!r} must be 'exact', 'regional' or a function (x, u, p, t)")
+    return given(dae, model, gain)
+
+
 def exact(dae: Dae, region: Region, wanted: Sequence[complex]) -> Gain:
     """Exact placement (3.17)-(3.21): Ackermann's formula on (v M'C, A - J_p M'C), v and J_p (3.22) chosen over the region.
 
@@ -118,7 +148,7 @@ def regional(dae: Dae, alpha: float, X: ArrayLike) -> Gain:
     return _gain(dae, K, valid, tuning, ports, "regional placement by a Riccati equation", iterated=True)
 
 
-def nothing_to_place(dae: Dae) -> Gain:
+def _nothing_to_place(dae: Dae) -> Gain:
     """The gain beside as many unknown disturbances as outputs: no lambda is left, what is left of the states decays by itself."""
     gamma = ca.Function("gamma", [*dae.arguments, ca.SX(0, 1)], [ca.SX(dae.n, 0), ca.SX(1)])
     return Gain(gamma, (), "no relaxation left to place eigenvalues with")

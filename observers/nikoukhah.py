@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from observers import fault_detector, ports
 from observers.component import SHORTEST_SAMPLE_TIME, Component, Port
 from observers.dae import Dae, relaxed
-from observers.dae_gain import Design, Gain, exact, given, nothing_to_place, reduced_pair, regional
+from observers.dae_gain import Design, Gain, choose, reduced_pair
 from observers.dae_ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
 from observers.dae_steps import bdf_step, consistent, integrated
 from observers.model import Model, refuse
@@ -97,7 +97,7 @@ def nikoukhah(
     dae, checked = relaxed(model), region(model)
     # How far left what no gain moves must lie: exact placement leaves nothing, a given gain is asked for stability.
     _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
-    chosen = _gain(model, dae, checked, gain, poles, alpha, X)
+    chosen = choose(model, dae, checked, gain, poles, alpha, X)
 
     nu = len(model.inputs)
     known = ports.known_parameters(model)
@@ -182,30 +182,6 @@ def _check(dae: Dae, checked: Region, left_of: float) -> None:
     what = f"what the unknown disturbances ({hidden}) leave of (h_x, f_x)" if hidden else "(h_x, f_x)"
     pair = ca.Function("pair", at, [ca.densify(block) for block in reduced_pair(dae)])
     checked.require_detectable("nikoukhah", what, pair, left_of)
-
-
-def _gain(
-    model: Model,
-    dae: Dae,
-    checked: Region,
-    gain: str | Design,
-    poles: Sequence[complex] | None,
-    alpha: float,
-    X: ArrayLike | None,
-) -> Gain:
-    if dae.n_lambda == 0:
-        if poles or X is not None or gain not in ("exact", "regional"):
-            raise ValueError(
-                f"nikoukhah: model '{model.name}' has as many unknown disturbances as outputs: no relaxation is left for poles, X or a gain of one's own"
-            )
-        return nothing_to_place(dae)
-    if gain == "exact":
-        return exact(dae, checked, poles if poles is not None else [-10.0] * (dae.n - dae.n_disturbances))
-    if gain == "regional":
-        return regional(dae, alpha, X if X is not None else [1.0] * dae.n_lambda)
-    if isinstance(gain, str):
-        raise ValueError(f"nikoukhah: gain = {gain!r} must be 'exact', 'regional' or a function (x, u, p, t)")
-    return given(dae, model, gain)
 
 
 def _jump(
