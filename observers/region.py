@@ -54,7 +54,7 @@ class Region:
             )
             if not slowest.real < -alpha:
                 n = len(A)
-                limit = f", which is not left of {-alpha:g}" if math.isfinite(alpha) else ""
+                limit = f", which is not left of {0 - alpha:g}" if math.isfinite(alpha) else ""
                 raise ModelError(
                     f"{method}: {what} of model '{self.model.name}' is not observable at {self.describe(point)}: its observability "
                     f"matrix has rank {n - len(hidden)}, not {n}, and no gain moves its eigenvalue {_shown(slowest)}{limit}"

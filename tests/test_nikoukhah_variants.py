@@ -304,6 +304,21 @@ def test_where_no_relaxation_is_left_poles_are_refused():
         nikoukhah(ROOM, sample_time=0.01, gain="regional", alpha=0.1, poles=[-1.0])
 
 
+def test_a_rate_tuned_beyond_what_the_hidden_field_allows_is_said_by_the_status(fmu):
+    component = nikoukhah(LOADED, sample_time=1e-3, gain="regional", alpha=0.2, guess={"x3": 8.0}, name="loaded")
+    x = motor(3.0)
+    for alpha, status in ((0.3, CODE.estimating), (0.34, CODE.singular_gain), (10.0, CODE.singular_gain)):
+        found = follow(
+            fmu(component).initialize({"tuning.alpha": alpha}),
+            1e-3,
+            300,
+            lambda t: {"y1": x(t)[0], "y2": x(t)[1], "u": drive(t)},
+            "filtered.x3",
+            "diagnostics.status",
+        )
+        assert np.isfinite(found).all() and set(found[:, 1]) == {status}
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
