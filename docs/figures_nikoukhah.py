@@ -8,7 +8,11 @@ from figures import BLUE, GREEN, GREY, ORANGE, save
 
 from cosim.master import run
 from cosim.results import Result
+from observers.component import Component
 from observers.fault_detector import DETECTED
+from observers.instance import Instance
+from observers.nikoukhah import nikoukhah
+from reference_models.double_integrator import DOUBLE_INTEGRATOR
 
 NOISE = {"plant.sensor.noise_std": 1e-3, "plant.sensor.sample_time": 1e-3}
 
@@ -63,6 +67,37 @@ def faults(actuator: Result, sensor: Result) -> None:
     save(figure, "nikoukhah_faults")
 
 
+def response(degrees: tuple[int, ...], pole: float = -10.0, Ts: float = 0.01) -> None:
+    """Example 2.3: how far the response from y to the velocity is from (2.66), for polynomials of several degrees between samples."""
+    figure, axis = plt.subplots(figsize=(8, 3))
+    parts = np.geomspace(0.01, 0.1, 12)
+    for degree, colour in zip(degrees, (BLUE, ORANGE, GREEN, GREY), strict=True):
+        observer = nikoukhah(DOUBLE_INTEGRATOR, sample_time=Ts, poles=(pole, pole), degree=degree)
+        errors = []
+        for part in parts:
+            omega, s = 2 * np.pi * part / Ts, 2j * np.pi * part / Ts
+            errors.append(abs(_response(observer, omega, Ts) - pole**2 * s / (s - pole) ** 2))
+        axis.loglog(parts, errors, ".-", color=colour, label=f"degree {degree}", linewidth=0.9)
+    axis.axhline(1e-4, color=GREY, linestyle=":", linewidth=0.9)
+    axis.set_xlabel("frequency over sampling frequency")
+    axis.set_ylabel("error of the response")
+    axis.legend(frameon=False, fontsize=8)
+    save(figure, "nikoukhah_response")
+
+
+def _response(observer: Component, omega: float, Ts: float) -> complex:
+    """Amplitude and phase of filtered.x2 for y = sin(omega t), once the transient is over."""
+    instance, times = Instance(observer, {"guess.x2": 0.0}), Ts * np.arange(900)
+    found = np.empty(len(times))
+    for k, t in enumerate(times):
+        instance.set("y", np.sin(omega * t))
+        instance.step(t, Ts)
+        found[k] = instance.get("filtered.x2")
+    late = times > 4
+    basis = np.column_stack([np.sin(omega * times[late]), np.cos(omega * times[late])])
+    return complex(*np.linalg.lstsq(basis, found[late], rcond=None)[0])
+
+
 def _fault(name: str, value: float) -> Result:
     onset = {f"plant.model.{name}_jump_time[1]": 4.0, f"plant.model.{name}_jump_value[1]": value}
     return run("systems/nikoukhah_motor.ssp", overrides=NOISE | onset)
@@ -77,3 +112,4 @@ if __name__ == "__main__":
         }
     )
     faults(_fault("actuator_fault", 2.0), _fault("bias_y2", 0.1))
+    response((3, 5, 7, 9))

@@ -9,96 +9,122 @@ A = f_x, C = h_x are taken at the estimate itself, not at an equilibrium nearby 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from observers.component import Port
 from observers.dae import Dae
+from observers.dae_tuning import SLOWEST, poles, weight
 from observers.model import Model, ModelError, Names
 from observers.numerics.care import care
 from observers.numerics.exact import product
-from observers.numerics.placement import ackermann, observability_matrix
+from observers.numerics.placement import ackermann
+from observers.numerics.rank import unobservable
 from observers.region import Region
 
 Design = Callable[..., Iterable[Iterable[Any]]]  # (x, u, p, t) -> the rows of Gamma
 
-PAIR_TOLERANCE = 1e-8  # smallest over largest singular value of an observability matrix that counts as regular
+SMALLEST_GUARD = 1e-9
 INJECTIONS = 6  # preliminary output injections that are tried
 
 
 def _guard(description: str, start: float) -> Port:
-    return Port("tuning.singularity_guard", description, start=start, min=1e-9, variability="tunable")
+    return Port("tuning.singularity_guard", description, start=start, min=SMALLEST_GUARD, variability="tunable")
 
 
 @dataclass(frozen=True)
 class Gain:
-    """gamma(x, u, p, t, tuning) -> (Gamma (n x p - q), valid: 1 where the gain is what was asked for, else 0)."""
+    """gamma(x, u, p, t, tuning) -> (Gamma (n x p - q), valid: 1 where the gain is what was asked for, else 0).
+
+    `iterated`: Gamma is the result of an iteration, not of a formula.
+    """
 
     gamma: ca.Function
     tuning: tuple[Port, ...]
     description: str
+    iterated: bool = False
 
 
-def exact(dae: Dae, region: Region, poles: Sequence[float]) -> Gain:
+def choose(
+    model: Model,
+    dae: Dae,
+    region: Region,
+    gain: str | Design,
+    poles: Sequence[complex] | None,
+    alpha: float,
+    X: ArrayLike | None,
+) -> Gain:
+    """The gain that the options of `nikoukhah` ask for.
+
+    Raises:
+        ModelError, ValueError: as below; an unknown name, options without a relaxation that they could tune.
+    """
+    if dae.n_lambda == 0:
+        if poles or X is not None or gain not in ("exact", "regional"):
+            raise ValueError(
+                f"nikoukhah: model '{model.name}' has as many unknown disturbances as outputs: no relaxation is left for poles, X or a "
+                "gain of one's own"
+            )
+        return _nothing_to_place(dae)
+    if gain == "exact":
+        return exact(dae, region, poles if poles is not None else [-10.0] * (dae.n - dae.n_disturbances))
+    if gain == "regional":
+        return regional(dae, alpha, X if X is not None else [1.0] * dae.n_lambda)
+    if isinstance(gain, str):
+        raise ValueError(f"nikoukhah: gain = {gain!r} must be 'exact', 'regional' or a function (x, u, p, t)")
+    return given(dae, model, gain)
+
+
+def exact(dae: Dae, region: Region, wanted: Sequence[complex]) -> Gain:
     """Exact placement (3.17)-(3.21): Ackermann's formula on (v M'C, A - J_p M'C), v and J_p (3.22) chosen over the region.
 
     The division by the determinant of the observability matrix is guarded; the gain is valid where |det| > eps.
 
     Raises:
         ModelError: no v and J_p make the pair observable over the region.
-        ValueError: the number of poles.
+        ValueError: poles that `dae_tuning` refuses.
     """
-    A, C = _reduced(dae)
-    n = A.shape[0]
-    if len(poles) != n or not all(pole < 0 for pole in poles):
-        raise ValueError(f"nikoukhah: poles = {tuple(poles)} must be {n} negative numbers, one for each state")
+    A, C = reduced_pair(dae)
+    placed = poles(wanted, A.shape[0])
     v, J_p = _single_output(dae, region, A, C)
-    roots, eps = ca.SX.sym("poles", n), ca.SX.sym("eps")
-    J_1, determinant = ackermann(A - ca.mtimes(ca.DM(J_p), C), ca.mtimes(ca.DM(v), C), roots, eps)
+    eps = ca.SX.sym("eps")
+    cyclic = A - ca.mtimes(ca.DM(J_p), C)
+    J_1, determinant = ackermann(cyclic, ca.mtimes(ca.DM(v), C), placed.polynomial_at(cyclic), eps)
     K = ca.mtimes(J_1, ca.DM(v)) + ca.DM(J_p)
-    several = n > 1
-    ports = tuple(
-        Port(
-            f"tuning.pole[{i}]" if several else "tuning.pole",
-            "eigenvalue of the linearised error dynamics",
-            "1/s",
-            float(pole),
-            nominal=abs(float(pole)),
-            max=-1e-6,
-            variability="tunable",
-        )
-        for i, pole in enumerate(poles, start=1)
-    )
+    # A constant determinant is never near 0: what the guard takes off, eps^2 / det^2 of the gain, would be taken off for nothing.
+    moves = ca.depends_on(determinant, ca.vertcat(dae.x, dae.u, dae.t))
     guard = _guard(
-        "determinant of the observability matrix below which the gain is reduced instead of growing further", 1e-2
+        "determinant of the observability matrix below which the gain is reduced instead of growing further",
+        1e-2 if moves else SMALLEST_GUARD,
     )
     used = f"v = {_row(v)}" + (f", J_p = {J_p.tolist()}" if J_p.any() else "")
-    return _gain(
-        dae, K, ca.fabs(determinant) > eps, ca.vertcat(roots, eps), (*ports, guard), f"exact placement, {used}"
-    )
+    tuning = ca.vertcat(placed.values, eps)
+    return _gain(dae, K, ca.fabs(determinant) > eps, tuning, (*placed.ports, guard), f"exact placement, {used}")
 
 
-def regional(dae: Dae, alpha: float, X: Sequence[float]) -> Gain:
-    """Regional placement: K = P C' X / 2 (3.26) with P of the Riccati equation (3.25), X diagonal.
+def regional(dae: Dae, alpha: float, X: ArrayLike) -> Gain:
+    """Regional placement: K = P C' X / 2 (3.26) with P of the Riccati equation (3.25).
 
     eps^2 I is added to C' X C, which bounds P by 2 (alpha + ||A||) / eps^2 where the pair is not observable. The gain is valid
     where that changes the equation's C' X C term by less than its I.
 
     Raises:
-        ValueError: alpha or X not positive, or the number of X's entries.
+        ValueError: alpha below SLOWEST, an X that `dae_tuning` refuses.
     """
-    A, C = _reduced(dae)
-    n, p = A.shape[0], C.shape[0]
-    if not alpha > 0 or len(X) != p or not all(x > 0 for x in X):
-        raise ValueError(f"nikoukhah: alpha = {alpha:g} and X = {tuple(X)} must be positive, X with {p} entries")
-    rate, weights, eps = ca.SX.sym("alpha"), ca.SX.sym("X", p), ca.SX.sym("eps")
-    identity = ca.SX.eye(n)
+    A, C = reduced_pair(dae)
+    if not SLOWEST <= alpha < math.inf:
+        raise ValueError(f"nikoukhah: alpha = {alpha:g} must be at least {SLOWEST:g} and finite")
+    weighing = weight(X, C.shape[0])
+    rate, eps = ca.SX.sym("alpha"), ca.SX.sym("eps")
+    identity = ca.SX.eye(A.shape[0])
     shifted = A + rate * identity
-    weighted = ca.mtimes(C.T, ca.diag(weights))
+    weighted = ca.mtimes(C.T, weighing.matrix)
     # The Cayley transform wants more than ||A||, and about the closed loop's rates: sqrt(||C' X C||) is their scale.
     shift = 2 * (ca.norm_fro(shifted) + ca.sqrt(ca.norm_fro(ca.mtimes(weighted, C))))
     P = care(shifted, ca.mtimes(weighted, C) + eps**2 * identity, identity, shift)
@@ -111,17 +137,21 @@ def regional(dae: Dae, alpha: float, X: Sequence[float]) -> Gain:
             "1/s",
             alpha,
             nominal=alpha,
-            min=1e-6,
+            min=SLOWEST,
             variability="tunable",
         ),
-        *(
-            Port(f"tuning.X[{i}]" if p > 1 else "tuning.X", "weight X", start=float(x), min=1e-9, variability="tunable")
-            for i, x in enumerate(X, start=1)
-        ),
+        *weighing.ports,
         guard,
     )
     valid = eps**2 * ca.sumsqr(P) < ca.fmax(1, 1e-2 * rate * ca.trace(P))
-    return _gain(dae, K, valid, ca.vertcat(rate, weights, eps), ports, "regional placement by a Riccati equation")
+    tuning = ca.vertcat(rate, weighing.values, eps)
+    return _gain(dae, K, valid, tuning, ports, "regional placement by a Riccati equation", iterated=True)
+
+
+def _nothing_to_place(dae: Dae) -> Gain:
+    """The gain beside as many unknown disturbances as outputs: no lambda is left, what is left of the states decays by itself."""
+    gamma = ca.Function("gamma", [*dae.arguments, ca.SX(0, 1)], [ca.SX(dae.n, 0), ca.SX(1)])
+    return Gain(gamma, (), "no relaxation left to place eigenvalues with")
 
 
 def given(dae: Dae, model: Model, design: Design) -> Gain:
@@ -156,7 +186,7 @@ def given(dae: Dae, model: Model, design: Design) -> Gain:
     )
 
 
-def _reduced(dae: Dae) -> tuple[ca.SX, ca.SX]:
+def reduced_pair(dae: Dae) -> tuple[ca.SX, ca.SX]:
     """(T A Pi R, M' C R): the pair (A, C) on the space that is left beside the disturbances; (A, C) itself without."""
     A = ca.jacobian(dae.f, dae.x)
     if dae.n_disturbances == 0:
@@ -167,13 +197,9 @@ def _reduced(dae: Dae) -> tuple[ca.SX, ca.SX]:
     )
 
 
-def observable_pair(dae: Dae) -> tuple[ca.SX, ca.SX]:
-    """(observability matrix of the reduced pair, C): what is checked over the region."""
-    A, C = _reduced(dae)
-    return observability_matrix(C, A), dae.C
-
-
-def _gain(dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ...], description: str) -> Gain:
+def _gain(
+    dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ...], description: str, iterated: bool = False
+) -> Gain:
     """Gamma of K, (3.7)."""
     A = ca.jacobian(dae.f, dae.x)
     if dae.n_disturbances == 0:
@@ -183,7 +209,7 @@ def _gain(dae: Dae, K: ca.SX, valid: ca.SX, tuning: ca.SX, ports: tuple[Port, ..
         CM = ca.mtimes(dae.C.T, M)
         Gamma = ca.mtimes(ca.mtimes(R, K), ca.mtimes(CM.T, CM)) - ca.mtimes(A, ca.mtimes(Pi, CM))
     gamma = ca.Function("gamma", [*dae.arguments, tuning], [ca.densify(Gamma), valid], {"cse": True})
-    return Gain(gamma, ports, description)
+    return Gain(gamma, ports, description, iterated)
 
 
 def _single_output(dae: Dae, region: Region, A: ca.SX, C: ca.SX) -> tuple[np.ndarray, np.ndarray]:
@@ -202,7 +228,7 @@ def _single_output(dae: Dae, region: Region, A: ca.SX, C: ca.SX) -> tuple[np.nda
     for J_p in injections:
         for v in directions:
             for point, (A_at, C_at) in zip(region.points, pairs, strict=True):
-                if not _regular(v @ C_at, A_at - J_p @ C_at):
+                if len(unobservable(A_at - J_p @ C_at, v @ C_at)):
                     failed = point
                     break
             else:
@@ -211,16 +237,6 @@ def _single_output(dae: Dae, region: Region, A: ca.SX, C: ca.SX) -> tuple[np.nda
         f"nikoukhah: no v and J_p of (3.20)-(3.22) make (v C, A - J_p C) observable over the region, "
         f"for example at {region.describe(failed)}; use gain='regional'"
     )
-
-
-def _regular(c: np.ndarray, A: np.ndarray) -> bool:
-    rows = [c]
-    for _ in range(len(A) - 1):
-        rows.append(rows[-1] @ A)
-    # Rows grow like ||A||^k: each is measured by its own length.
-    O = np.vstack([row / max(float(np.linalg.norm(row)), 1e-300) for row in rows])
-    singular = np.linalg.svd(O, compute_uv=False)
-    return bool(singular[-1] > PAIR_TOLERANCE * singular[0])
 
 
 def _row(v: np.ndarray) -> str:

@@ -55,10 +55,10 @@ def disturbances(model: Model) -> tuple[Port, ...]:
     return tuple(made)
 
 
-def documentation(model: Model, gain: Gain, form: str, order: int) -> str:
+def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) -> str:
     """The method in short, as HTML."""
     how = (
-        "by classical Runge-Kutta steps of its w-form, with a cubic through the last four samples"
+        f"by Runge-Kutta steps of its w-form, with a polynomial of degree {degree} through the last {degree + 1} samples"
         if form == "w"
         else f"by backward differentiation of order {order}, as in the report"
     )

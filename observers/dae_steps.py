@@ -1,4 +1,4 @@
-"""One sample interval of the canonical DAE observer: in its w-form, or by the paper's backward differentiation (section 4).
+"""One sample interval of the canonical DAE observer: by Runge-Kutta, or by the paper's backward differentiation (section 4).
 
 Both advance (x, mu) of the relaxed DAE (see `dae`) from t_(k-1) to t_k, where the measurement is y_k.
 """
@@ -14,21 +14,23 @@ import casadi as ca
 from observers.dae import Dae
 from observers.dae_gain import Gain
 from observers.numerics.bdf import growing
-from observers.numerics.interpolation import CUBIC, interpolated
+from observers.numerics.half_explicit import half_explicit
+from observers.numerics.interpolation import interpolated
 from observers.numerics.linear import backward, forward, lu_factor
 
-STAGE_ITERATIONS = 3  # of Newton's method, from the stage before
-ITERATIONS = 5  # where the result stands by itself
+ITERATIONS = 5  # of Newton's method
+
+Step = Callable[..., tuple[Any, Any, Any]]
 
 
-def consistent(dae: Dae, iterations: int) -> ca.Function:
-    """consistent(w, y, x, mu, p, t) -> (x, mu, change) of x - G(x) mu = w, h(x) = y (2.11): explicit for linear outputs.
+def consistent(dae: Dae) -> ca.Function:
+    """consistent(w, y, x, mu, u, p, t) -> (x, mu, change) of x - G(x) mu = w, h(x) = y (2.11): explicit for linear outputs.
 
     Else by Newton's method from the x, mu given; `change` is its last relative correction, which tells whether it converged. mu is the
     multiplier of the projection of w onto h(x) = y.
     """
     w, y, mu = ca.SX.sym("w", dae.n), ca.SX.sym("y", dae.n_outputs), ca.SX.sym("mu", dae.n_outputs)
-    arguments = [w, y, dae.x, mu, dae.p, dae.t]
+    arguments = [w, y, dae.x, mu, *_at(dae)]
     if dae.linear_outputs:
         gap = y - ca.substitute(dae.h, dae.x, w)
         inverse = dae.N_inverse
@@ -41,57 +43,86 @@ def consistent(dae: Dae, iterations: int) -> ca.Function:
     step = _solved(ca.jacobian(residual, unknown), residual)
     newton = ca.Function("newton", arguments, [ca.densify(unknown - step)], {"cse": True})
     both = before = unknown
-    for _ in range(iterations):
-        before, both = both, newton(w, y, both[: dae.n], both[dae.n :], dae.p, dae.t)
+    for _ in range(ITERATIONS):
+        before, both = both, newton(w, y, both[: dae.n], both[dae.n :], *_at(dae))
     x = _with_measured_states(dae, both[: dae.n], y)
     return ca.Function("consistent", arguments, [x, both[dae.n :], _change(before, both)])
 
 
-def w_rate(dae: Dae, gain: Gain) -> ca.Function:
-    """w_rate(x, mu, y_dot, u, p, t, tuning) -> w' = f + Gamma_bar mu - G' mu, of w = x - G mu (errata to (2.10)).
+def integrated(dae: Dae, gain: Gain, degree: int) -> Step:
+    """The step over a sample interval, from t - Ts to t: Runge-Kutta on w for linear outputs, half-explicit Runge-Kutta otherwise.
 
-    Where G moves, G' = dG/dt needs x' and hence y', (2.6), (2.7): that of the interpolated measurement, times mu.
+    step(x, mu, samples, k, u_begin, u_end, p, t, Ts, tuning) -> (x, mu, change) at t. `samples`: y_k, y_(k-1), ... newest first, whose
+    polynomial of `degree` gives y within the interval: only past samples, so it is causal.
     """
-    mu, y_dot, tuning = ca.SX.sym("mu", dae.n_outputs), ca.SX.sym("y_dot", dae.n_outputs), _tuning(gain)
-    Gamma = gain.gamma(*dae.arguments, tuning)[0]
-    rate = dae.f + ca.mtimes(Gamma, mu[dae.n_disturbances :])
-    if not dae.linear_outputs:
-        h_t = ca.jacobian(dae.h, dae.t)
-        mu_dot = _solved(ca.mtimes(dae.C, dae.G), y_dot - h_t - ca.mtimes(dae.C, rate))
-        x_dot = rate + ca.mtimes(dae.G, mu_dot)
-        moving = ca.mtimes(dae.G, mu)
-        rate = rate - ca.mtimes(ca.jacobian(moving, dae.x), x_dot) - ca.jacobian(moving, dae.t)
-    arguments = [dae.x, mu, y_dot, dae.u, dae.p, dae.t, tuning]
-    return ca.Function("w_rate", arguments, [ca.densify(rate)], {"cse": True})
+    return w_step(dae, gain, degree) if dae.linear_outputs else moving_step(dae, gain, degree)
 
 
-def w_step(dae: Dae, gain: Gain) -> Callable[..., tuple[Any, Any, Any]]:
-    """step(x, mu, samples, k, u_begin, u_end, p, t, Ts, tuning) -> (x, mu, change) at t: classical Runge-Kutta on w.
-
-    `samples`: y_k, y_(k-1), ... newest first, whose cubic gives y within the interval: only past samples, so it is causal.
-    """
-    rate, inner, last = w_rate(dae, gain), consistent(dae, STAGE_ITERATIONS), consistent(dae, ITERATIONS)
+def w_step(dae: Dae, gain: Gain, degree: int) -> Step:
+    """w = x - G mu of linear outputs: w' = f + Gamma_bar mu (errata to (2.10)), G constant; classical Runge-Kutta."""
+    mu, tuning = ca.SX.sym("mu", dae.n_outputs), _tuning(gain)
+    rate = ca.Function(
+        "rate", [dae.x, mu, *_at(dae), tuning], [ca.densify(_forced(dae, gain, mu, tuning))], {"cse": True}
+    )
+    project = consistent(dae)
+    G = ca.Function("G", [dae.p], [ca.densify(dae.G)])
 
     def step(
         x: Any, mu: Any, samples: list[Any], k: Any, u_begin: Any, u_end: Any, p: Any, t: Any, Ts: Any, tuning: Any
     ) -> tuple[Any, Any, Any]:
-        begin = x - ca.mtimes(G_at(x, p, t - Ts), mu)
+        begin = x - ca.mtimes(G(p), mu)
         total, w, slope = 0, begin, None
         for at, weight in ((-1, 1), (Fraction(-1, 2), 2), (Fraction(-1, 2), 2), (0, 1)):
             time = t + float(at) * Ts
+            u = u_end if at == 0 else u_begin if at == -1 else (u_begin + u_end) / 2
             if slope is not None:
                 w = begin + Ts * (0.5 if at else 1.0) * slope
-                x, mu, _ = inner(w, interpolated(samples, k, Fraction(at)), x, mu, p, time)
-            y_dot = 0 if dae.linear_outputs else interpolated(samples, k, Fraction(at), derivative=True) / Ts
-            u = u_end if at == 0 else u_begin if at == -1 else (u_begin + u_end) / 2
-            slope = rate(x, mu, y_dot, u, p, time, tuning)
+                x, mu, _ = project(w, interpolated(samples, k, Fraction(at), degree), x, mu, u, p, time)
+            slope = rate(x, mu, u, p, time, tuning)
             total = total + weight * slope
-        return last(begin + Ts * total / 6, samples[0], x, mu, p, t)
+        return project(begin + Ts * total / 6, samples[0], x, mu, u_end, p, t)
 
-    G = ca.Function("G", [dae.x, dae.p, dae.t], [ca.densify(dae.G)])
+    return step
 
-    def G_at(x: Any, p: Any, t: Any) -> Any:
-        return ca.DM(ca.evalf(dae.G)) if dae.G.is_constant() else G(x, p, t)
+
+def moving_step(dae: Dae, gain: Gain, degree: int) -> Step:
+    """What the w-form becomes where h_x moves: half-explicit Runge-Kutta on (2.10) itself, h(x) = y by Newton's method at each stage.
+
+    w' would hold (d/dt h_x)' lambda and with it y'; no variable instead of w is free of y' unless the outputs' gradients commute.
+    Here h_x is not differentiated; for a constant h_x the step is Runge-Kutta on w.
+    """
+    mu, y, nu = (ca.SX.sym(name, dae.n_outputs) for name in ("mu", "y", "nu"))
+    base, G, tuning = ca.SX.sym("base", dae.n), ca.SX.sym("G", dae.n, dae.n_outputs), _tuning(gain)
+    terms = ca.Function(
+        "terms",
+        [dae.x, mu, *_at(dae), tuning],
+        [ca.densify(_forced(dae, gain, mu, tuning)), ca.densify(dae.G)],
+        {"cse": True},
+    )
+    projected = base + ca.mtimes(G, nu)
+    gap, slope = (ca.substitute(expression, dae.x, projected) for expression in (dae.h - y, dae.C))
+    newton = ca.Function(
+        "newton", [nu, base, G, y, *_at(dae)], [ca.densify(nu - _solved(ca.mtimes(slope, G), gap))], {"cse": True}
+    )
+
+    def step(
+        x: Any, mu: Any, samples: list[Any], k: Any, u_begin: Any, u_end: Any, p: Any, t: Any, Ts: Any, tuning: Any
+    ) -> tuple[Any, Any, Any]:
+        changes = []
+
+        def at(c: float) -> tuple[Any, Any, Any]:
+            return u_begin + c * (u_end - u_begin), p, t + (c - 1) * Ts
+
+        def constrain(moved: Any, G: Any, c: float) -> Any:
+            y = interpolated(samples, k, Fraction(c) - 1, degree)
+            nu = before = ca.MX.zeros(dae.n_outputs)
+            for _ in range(ITERATIONS):
+                before, nu = nu, newton(nu, moved, G, y, *at(c))
+            changes.append(_change(moved + ca.mtimes(G, before), moved + ca.mtimes(G, nu)))
+            return nu
+
+        x, mu = half_explicit(lambda x, mu, c: terms(x, mu, *at(c), tuning), constrain, x, mu, Ts)
+        return _with_measured_states(dae, x, samples[0]), mu, ca.mmax(ca.vertcat(*changes))
 
     return step
 
@@ -99,6 +130,7 @@ def w_step(dae: Dae, gain: Gain) -> Callable[..., tuple[Any, Any, Any]]:
 def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, Any, Any]]:
     """step(x, mu, y, past, k, u, p, t, Ts, tuning) -> (x, mu, change, mu') at t: (4.3) by BDF of `order`, Newton's method from (x, mu).
 
+    The derivative of an iterated gain is left out of Newton's matrix: its code would be five times the gain's own.
     `past`: the columns (x, mu) at t - Ts, t - 2 Ts, ..., as many as `order`; the order grows with the `k` of them that are there.
     """
     mu, y, tuning = ca.SX.sym("mu", dae.n_outputs), ca.SX.sym("y", dae.n_outputs), _tuning(gain)
@@ -106,12 +138,17 @@ def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, 
     a_0, older, Ts = ca.SX.sym("a_0"), ca.SX.sym("older", both.numel()), ca.SX.sym("Ts")
     moved = a_0 * both + older  # Ts (x', mu')
     Gamma = gain.gamma(*dae.arguments, tuning)[0]
-    residual = ca.vertcat(
-        moved[: dae.n] - ca.mtimes(dae.G, moved[dae.n :]) - Ts * (dae.f + ca.mtimes(Gamma, mu[dae.n_disturbances :])),
-        dae.h - y,
-    )
-    arguments = [both, y, a_0, older, dae.u, dae.p, dae.t, Ts, tuning]
-    correction = _solved(ca.jacobian(residual, both), residual)  # (4.4) with -Gamma, (4.5)
+
+    def residual(Gamma: ca.SX) -> ca.SX:
+        forced = dae.f + ca.mtimes(Gamma, _lambda(dae, mu))
+        return ca.vertcat(moved[: dae.n] - ca.mtimes(dae.G, moved[dae.n :]) - Ts * forced, dae.h - y)
+
+    slope = ca.jacobian(residual(Gamma), both)  # (4.4) with -Gamma, (4.5)
+    if gain.iterated:
+        held = ca.SX.sym("Gamma", *Gamma.shape)
+        slope = ca.substitute(ca.jacobian(residual(held), both), held, Gamma)
+    arguments = [both, y, a_0, older, *_at(dae), Ts, tuning]
+    correction = _solved(slope, residual(Gamma))
     newton = ca.Function("newton", arguments, [ca.densify(both - correction)], {"cse": True})
 
     def step(
@@ -128,9 +165,19 @@ def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, 
     return step
 
 
-def samples_needed() -> int:
-    """Past samples that the w-form interpolates through, besides the newest."""
-    return CUBIC
+def _at(dae: Dae) -> list[ca.SX]:
+    return [dae.u, dae.p, dae.t]
+
+
+def _forced(dae: Dae, gain: Gain, mu: ca.SX, tuning: ca.SX) -> ca.SX:
+    """f + Gamma_bar mu (n x 1)."""
+    Gamma = gain.gamma(*dae.arguments, tuning)[0]
+    return dae.f + ca.mtimes(Gamma, _lambda(dae, mu))
+
+
+def _lambda(dae: Dae, mu: ca.SX) -> ca.SX:
+    """The relaxations of mu (p - q x 1); an empty slice would be 1 x 0."""
+    return mu[dae.n_disturbances :] if dae.n_lambda else ca.SX(0, 1)
 
 
 def _solved(A: ca.SX, b: ca.SX) -> ca.SX:

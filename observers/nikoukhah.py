@@ -7,9 +7,9 @@ x is the estimate; lambda, the relaxation, goes to zero with its error and is a 
 and the model contradict each other. `dae` holds the equations, `dae_gain` the choice of Gamma (section 3), `dae_steps` the integration.
 
 What deviates from the paper, and why:
-- The w-form, w = x - h_x' lambda, w' = f + Gamma lambda - (d/dt h_x)' lambda, is the same DAE as an ODE of w; x and lambda follow from
-  w and (2.11). Classical Runge-Kutta steps it from sample to sample, y between them on the cubic through the last four. Only where
-  h_x moves does it take y', the cubic's, times lambda. The paper's BDF is there too (`form="bdf"`).
+- The w-form, w = x - h_x' lambda, w' = f + Gamma lambda for a constant h_x, is the same DAE as an ODE of w; x and lambda follow from
+  w and (2.11). Classical Runge-Kutta steps it from sample to sample, y between them on a polynomial through the last few. Where h_x
+  moves, a half-explicit Runge-Kutta method does, free of y' as well. The paper's BDF is there too (`form="bdf"`).
 - (5.5) to (5.7) have a wrong sign in the third entry (one eigenvalue would be +2.19); Gamma is made by automatic differentiation.
   (2.58) and the Gamma block of (4.4) are misprinted as well.
 - Divisions of the gain are guarded where the pair (C, A) is not observable; such samples are counted.
@@ -24,16 +24,18 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from observers import fault_detector, ports
 from observers.component import Component, Port
 from observers.dae import Dae, relaxed
-from observers.dae_gain import Design, Gain, exact, given, observable_pair, regional
+from observers.dae_gain import Design, Gain, choose, reduced_pair
 from observers.dae_ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
-from observers.dae_steps import ITERATIONS, bdf_step, consistent, samples_needed, w_step
+from observers.dae_steps import bdf_step, consistent, integrated
 from observers.model import Model, refuse
 from observers.numerics.bdf import MOST
 from observers.numerics.exact import product
+from observers.numerics.interpolation import HIGHEST
 from observers.numerics.iteration import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
@@ -47,11 +49,12 @@ def nikoukhah(
     *,
     sample_time: float,
     gain: str | Design = "exact",
-    poles: Sequence[float] | None = None,
+    poles: Sequence[complex] | None = None,
     alpha: float = 10.0,
-    X: Sequence[float] | None = None,
+    X: ArrayLike | None = None,
     form: str = "w",
     order: int = 2,
+    degree: int = 3,
     guess: Mapping[str, float] | None = None,
     name: str | None = None,
     max_step: float = 0.01,
@@ -63,18 +66,22 @@ def nikoukhah(
         sample_time: start value of the fixed parameter `sample_time`, Ts [s].
         gain: "exact" places all eigenvalues of the linearised error dynamics (3.17)-(3.22), "regional" shifts them left of -alpha by the
             Riccati equation (3.25), (3.26); or a function `(x, u, p, t)` that returns the rows of Gamma (n x p), written like the model.
-        poles: for "exact", the eigenvalues [1/s], one for each state; -10 each if absent. Tunable.
-        alpha, X: for "regional", the decay rate [1/s] and the diagonal of X, one entry for each output; 1 each if absent. Tunable.
+        poles: for "exact", the eigenvalues [1/s], one for each state (less the unknown disturbances), real or in conjugate pairs; -10 each
+            if absent. Tunable.
+        alpha, X: for "regional", the decay rate [1/s] and X, its diagonal or all of it (p - q x p - q); the identity if absent. Tunable.
         form: "w" (Runge-Kutta on the w-form) or "bdf" (the paper's section 4).
         order: of the backward differentiation, 1 to 5.
+        degree: of the polynomial through past measurements that the w-form takes between samples, 1 to 9. A higher one follows faster
+            signals and amplifies noise near half the sampling frequency.
         guess: start values of `guess.*` that differ from the model's. The first sample projects it onto h(x) = y.
         name: the component's name; `<model>_nikoukhah` if absent.
         max_step: the longest prediction step [s] (classical Runge-Kutta).
         stop_time: of the default experiment [s].
 
     Raises:
-        ModelError: algebraic variables; outputs that depend on inputs or are not independent, states that are not observable, at a point of
-            the model's region that is named; unknown disturbances with which the DAE's index is not 1.
+        ModelError: algebraic variables; outputs that a held input moves other than by a sum; unknown disturbances with which the DAE's
+            index is not 1; at a point of the model's region that is named, outputs that are not independent, or states that are not
+            observable and do not decay as fast as the gain promises.
         ValueError: an option out of range.
     """
     refuse(model, "nikoukhah", "algebraic")
@@ -83,15 +90,20 @@ def nikoukhah(
         raise ValueError(f"nikoukhah: form = {form!r} must be 'w' or 'bdf'")
     if not 1 <= order <= MOST:
         raise ValueError(f"nikoukhah: order = {order} must be 1 to {MOST}")
+    if not 1 <= degree <= HIGHEST:
+        raise ValueError(f"nikoukhah: degree = {degree} must be 1 to {HIGHEST}")
     dae, checked = relaxed(model), region(model)
-    _check(dae, checked)
-    chosen = _gain(model, dae, checked, gain, poles, alpha, X)
+    # How far left what no gain moves must lie: exact placement leaves nothing, a given gain is asked for stability.
+    _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
+    chosen = choose(model, dae, checked, gain, poles, alpha, X)
 
     nu = len(model.inputs)
     known = ports.known_parameters(model)
-    tuning = (*chosen.tuning, *fault_detector.TUNING)
-    settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=3)
-    jump, state = _jump(model, dae, chosen, settings, form, order)
+    # Without a relaxation there is no residual to watch.
+    detector = fault_detector.TUNING if dae.n_lambda else ()
+    tuning = (*chosen.tuning, *detector)
+    settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=len(detector))
+    jump, state = _jump(model, dae, chosen, settings, form, order, degree)
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", dae.n_outputs + nu)
     p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), settings.unpack(p)
@@ -106,8 +118,8 @@ def nikoukhah(
         "status": ca.DM(CODE.initial_guess),
         "fault": ca.DM(fault_detector.SETTLING),
     }
-    shown = [s.x, s.x_filtered, s.d, s.d, s.status, s.mu[dae.n_disturbances :], s.fault, s.innovation]
-    shown += [s.singular, s.rejected, s.failures]
+    residual = [s.mu[dae.n_disturbances :], s.fault] if dae.n_lambda else []
+    shown = [s.x, s.x_filtered, s.d, s.d, s.status, *residual, s.innovation, s.singular, s.rejected, s.failures]
     return Component(
         name=name or f"{model.name}_nikoukhah",
         description=f"Canonical DAE observer for {model.name} (Nikoukhah 1995), {chosen.description}",
@@ -124,7 +136,7 @@ def nikoukhah(
             *disturbances(model),
             STATUS,
             *lambdas(model, dae),
-            fault_detector.PORT,
+            *([fault_detector.PORT] if dae.n_lambda else []),
             *ports.innovations(model),
             SINGULAR,
             *ports.COUNTERS,
@@ -138,6 +150,14 @@ def nikoukhah(
                 variability="constant",
                 local=True,
             ),
+            Port(
+                "structure.degree",
+                "degree of the polynomial through past measurements; 0: backward differentiation, which needs none",
+                start=0 if form == "bdf" else degree,
+                kind="Integer",
+                variability="constant",
+                local=True,
+            ),
         ),
         sample_time="sample_time",
         samples_inputs=True,
@@ -145,42 +165,30 @@ def nikoukhah(
         stop_time=stop_time,
         step_size=sample_time,
         counters=(SINGULAR.name, *(port.name for port in ports.COUNTERS)),
-        documentation=documentation(model, chosen, form, order),
+        documentation=documentation(model, chosen, form, order, degree),
     )
 
 
-def _check(dae: Dae, checked: Region) -> None:
-    """The assumptions of Theorem 3.2 at points of the region; (2.11) then has index 1 there (Lemma 2.1)."""
-    observability, C = observable_pair(dae)
+def _check(dae: Dae, checked: Region, left_of: float) -> None:
+    """The assumptions of Theorem 3.2 at points of the region; (2.11) then has index 1 there (Lemma 2.1).
+
+    The proof of Lemma 3.2 needs less than observability: what (C, A) hides must decay faster than exp(-left_of t) by itself.
+    """
     at = dae.arguments
-    checked.require_rank("nikoukhah", "h_x", ca.Function("C", at, [ca.densify(C)]), dae.n_outputs)
-    matrix = ca.Function("observability", at, [ca.densify(observability)])
-    checked.require_rank("nikoukhah", "the observability matrix of (h_x, f_x)", matrix, dae.n - dae.n_disturbances)
+    checked.require_rank("nikoukhah", "h_x", ca.Function("C", at, [ca.densify(dae.C)]), dae.n_outputs)
+    hidden = ", ".join(v.name for v in checked.model.unknown_disturbances)
+    what = f"what the unknown disturbances ({hidden}) leave of (h_x, f_x)" if hidden else "(h_x, f_x)"
+    pair = ca.Function("pair", at, [ca.densify(block) for block in reduced_pair(dae)])
+    checked.require_detectable("nikoukhah", what, pair, left_of)
 
 
-def _gain(
-    model: Model,
-    dae: Dae,
-    checked: Region,
-    gain: str | Design,
-    poles: Sequence[float] | None,
-    alpha: float,
-    X: Sequence[float] | None,
-) -> Gain:
-    if gain == "exact":
-        return exact(dae, checked, poles if poles is not None else [-10.0] * (dae.n - dae.n_disturbances))
-    if gain == "regional":
-        return regional(dae, alpha, X if X is not None else [1.0] * dae.n_lambda)
-    if isinstance(gain, str):
-        raise ValueError(f"nikoukhah: gain = {gain!r} must be 'exact', 'regional' or a function (x, u, p, t)")
-    return given(dae, model, gain)
-
-
-def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order: int) -> tuple[ca.Function, Layout]:
+def _jump(
+    model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order: int, degree: int
+) -> tuple[ca.Function, Layout]:
     """One sample, and the layout of the state it works on."""
     n, ny, nu, nd = dae.n, dae.n_outputs, len(model.inputs), dae.n_disturbances
     held, implicit = model.input_between_samples == "held", form == "bdf"
-    kept = 0 if implicit else samples_needed()
+    kept = 0 if implicit else degree
     state = Layout(
         x=n,  # the prediction: the estimate of the current time
         x_filtered=n,  # the estimate of the last sample instant, where h(x) = y
@@ -207,8 +215,9 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
 
     # A rejected measurement is replaced by its prediction.
     valid = ca.fabs(u[:ny]) <= HUGE  # false for NaN
-    predicted = ca.Function("h", [dae.x, dae.p, dae.t], [ca.densify(dae.h)])(s.x, q.model, t)
-    y = ca.if_else(valid, u[:ny], predicted)
+    outputs = ca.Function("outputs", dae.arguments, [ca.densify(dae.h), ca.densify(dae.r)])
+    predicted, added = outputs(s.x, known, q.model, t)
+    y = ca.if_else(valid, u[:ny] - added, predicted)
     any_valid, all_valid = ca.sum1(valid) > 0, ca.sum1(valid) == ny
 
     u_end = s.input_integral / Ts if held else known
@@ -223,11 +232,13 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
         d, y_kept, past = _head(mu_dot, nd), ca.MX(0, 1), ca.vertcat(*columns[: order - 1], ca.MX(0, 1))
     else:
         samples = [y, *(s.y[i * ny : (i + 1) * ny] for i in range(kept))]
-        x, mu, change = w_step(dae, gain)(s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain)
+        x, mu, change = integrated(dae, gain, degree)(
+            s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain
+        )
         # delta is known up to a constant: it counts from sample to sample.
-        d, mu = _head(mu, nd) / Ts, ca.vertcat(ca.DM.zeros(nd), mu[nd:])
+        d, mu = _head(mu, nd) / Ts, (ca.vertcat(ca.DM.zeros(nd), mu[nd:]) if dae.n_lambda else ca.DM.zeros(nd))
         y_kept, past = ca.vertcat(*samples[:kept]), ca.MX(0, 1)
-    x_first, _, change_first = consistent(dae, ITERATIONS)(s.x, y, s.x, ca.DM.zeros(ny), q.model, t)
+    x_first, _, change_first = consistent(dae)(s.x, y, s.x, ca.DM.zeros(ny), known, q.model, t)
     x, mu = ca.if_else(first, x_first, x), ca.if_else(first, 0, mu)
     d, change = ca.if_else(first, s.d, d), ca.if_else(first, change_first, change)
 
@@ -239,13 +250,15 @@ def _jump(model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order
     d = ca.if_else(accepted, d, s.d)
     singular = ca.logic_not(gain.gamma(x, known, q.model, t, q.gain)[1])
 
-    scale = product(np.abs(dae.M.T), np.array([[v.nominal] for v in model.outputs]))
-    size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
-    threshold, persistence, settling = ca.vertsplit(q.detector)
-    detected = fault_detector.detect(s.fault, s.above, s.below, size, threshold, persistence, settling, Ts)
-    fault, above, below = (
-        ca.if_else(any_valid, new, old) for new, old in zip(detected, (s.fault, s.above, s.below), strict=True)
-    )
+    fault, above, below = s.fault, s.above, s.below
+    if dae.n_lambda:
+        scale = product(np.abs(dae.M.T), np.array([[v.nominal] for v in model.outputs]))
+        size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
+        threshold, persistence, settling = ca.vertsplit(q.detector)
+        detected = fault_detector.detect(fault, above, below, size, threshold, persistence, settling, Ts)
+        fault, above, below = (
+            ca.if_else(any_valid, new, old) for new, old in zip(detected, (fault, above, below), strict=True)
+        )
     status: Any = CODE.estimating
     for condition, code in (
         (singular, CODE.singular_gain),

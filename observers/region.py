@@ -11,9 +11,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from observers.model import Model, ModelError, Variable
+from observers.numerics.rank import kernel, unobservable
 
 POINTS = 64
-RANK_TOLERANCE = 1e-8  # smallest over largest singular value that counts as full rank
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,36 @@ class Region:
         """Raise a ModelError that names the first point at which `matrix` (of x, u, p, t) has not `rank`."""
         for point in self.points:
             value = matrix(*point).full()
-            lengths = np.linalg.norm(value, axis=1, keepdims=True)
-            singular = np.linalg.svd(value / np.where(lengths > 0, lengths, 1.0), compute_uv=False)
-            found = int(np.sum(singular > RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
+            found = value.shape[1] - len(kernel(value))
             if found < rank:
                 raise ModelError(
                     f"{method}: {what} of model '{self.model.name}' has rank {found}, not {rank}, at {self.describe(point)}"
                 )
+
+    def require_detectable(self, method: str, what: str, pair: ca.Function, alpha: float) -> None:
+        """Raise a ModelError where an eigenvalue of A that C does not show has no real part below -`alpha`; `pair` gives (A, C).
+
+        No gain K moves such an eigenvalue of A - K C: an infinite alpha demands that there is none.
+        """
+        for point in self.points:
+            A, C = (value.full() for value in pair(*point))
+            hidden = unobservable(A, C)
+            if len(hidden) == 0:
+                continue
+            slowest = max(
+                np.linalg.eigvals(hidden @ A @ hidden.T), key=lambda eigenvalue: (eigenvalue.real, eigenvalue.imag)
+            )
+            if not slowest.real < -alpha:
+                n = len(A)
+                limit = f", which is not left of {0 - alpha:g}" if math.isfinite(alpha) else ""
+                raise ModelError(
+                    f"{method}: {what} of model '{self.model.name}' is not observable at {self.describe(point)}: its observability "
+                    f"matrix has rank {n - len(hidden)}, not {n}, and no gain moves its eigenvalue {_shown(slowest)}{limit}"
+                )
+
+
+def _shown(eigenvalue: complex) -> str:
+    return f"{eigenvalue.real:.4g}" + (f" +- {abs(eigenvalue.imag):.4g} i" if abs(eigenvalue.imag) > 1e-9 else "")
 
 
 def region(model: Model) -> Region:

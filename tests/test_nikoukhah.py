@@ -87,12 +87,15 @@ def test_the_printed_sign_of_5_6_gives_an_eigenvalue_of_plus_2_19_somewhere_and_
     assert printed.real.max() == pytest.approx(2.19, abs=0.01)
 
 
-def test_the_regional_gain_is_scipys_riccati_solution_and_shifts_the_eigenvalues_beyond_alpha():
-    gain, C, X = regional(relaxed(MOTOR), 10.0, [2.0, 0.5]), np.eye(3)[:2], np.diag([2.0, 0.5])
+@pytest.mark.parametrize("X", [[2.0, 0.5], [[2.0, -0.5], [-0.5, 1.0]]], ids=["diagonal", "full"])
+def test_the_regional_gain_is_scipys_riccati_solution_and_shifts_the_eigenvalues_beyond_alpha(X):
+    gain, C = regional(relaxed(MOTOR), 10.0, X), np.eye(3)[:2]
+    tuning = [port.start for port in gain.tuning[:-1]]
+    X = np.diag(X) if np.ndim(X) == 1 else np.array(X)
     for x in POINTS:
         A = motor_jacobian(x)
         expected = solve_continuous_are((A + 10 * np.eye(3)).T, C.T, np.eye(3), np.linalg.inv(X)) @ C.T @ X / 2
-        found = gamma(gain, MOTOR, x, 2.0, [10, 2.0, 0.5, 1e-9])
+        found = gamma(gain, MOTOR, x, 2.0, [*tuning, 1e-9])
         np.testing.assert_allclose(found, (expected @ C - A) @ C.T, rtol=1e-6, atol=1e-6)
         assert np.linalg.eigvals(A - (A @ C.T + found) @ C).real.max() < -10
 
@@ -139,6 +142,13 @@ def test_the_w_form_is_as_exact_as_runge_kutta_and_the_cubic_are(truth):
     # errata: 4e-9, 1.5e-5, 0.012
     for Ts, expected in ((1e-3, 4.3e-9), (0.01, 1.5e-5), (0.05, 0.0122)):
         assert largest_after_4(truth, Ts) == pytest.approx(expected, rel=0.1)
+
+
+def test_regional_placement_meets_the_reference_by_backward_differentiation_of_order_3_at_10_ms(truth):
+    component = nikoukhah(AUTONOMOUS, sample_time=0.01, gain="regional", alpha=10.0, form="bdf", order=3)
+    times, x3, _ = follow(component, lambda t: truth.sol(t)[:2], ["filtered.x3"], 1.0, 0.01, parameters={"guess.x3": 0})
+    errors = np.abs(x3[:, 0] - truth.sol(times)[2])[[20, 50, 100]]
+    np.testing.assert_allclose(errors, [0.355, 0.194, 3.1e-3], rtol=0.03)  # errata: |e3| at t = 0.2, 0.5, 1
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
@@ -311,15 +321,21 @@ class _Any:
         ),
         (
             lambda: two(lambda x, u, p, t: [x.a, x.b], lambda x, u, p, t: [x.a]),
-            ("observability", "rank 1, not 2", "b ="),
+            ("rank 1, not 2", "no gain moves its eigenvalue 1", "b ="),
         ),
         (
             lambda: two(lambda x, u, p, t: [x.a, x.b], lambda x, u, p, t: [x.a, x.b, x.a + x.b]),
             ("3 outputs for 2 states",),
         ),
         (
-            lambda: two(lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a + u.w], inputs=[Variable("w")]),
-            ("y0", "depends on an input"),
+            lambda: two(lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a + x.a * u.w], inputs=[Variable("w")]),
+            ("y0", "other than by a sum", "linear"),
+        ),
+        (
+            lambda: two(
+                lambda x, u, p, t: [x.b, 0], lambda x, u, p, t: [x.a + u.w, x.b], unknown_disturbances=[Variable("w")]
+            ),
+            ("y0", "depends on an unknown disturbance"),
         ),
         (
             lambda: unfit(
@@ -330,7 +346,15 @@ class _Any:
         ),
         (
             lambda: two(lambda x, u, p, t: [x.b, u.w], lambda x, u, p, t: [x.a], unknown_disturbances=[Variable("w")]),
-            ("1 unknown disturbances (w) and 1 outputs",),
+            ("w", "rank 0, not 1", "index"),
+        ),
+        (
+            lambda: two(
+                lambda x, u, p, t: [u.v, u.w],
+                lambda x, u, p, t: [x.a],
+                unknown_disturbances=[Variable("v"), Variable("w")],
+            ),
+            ("2 unknown disturbances (v, w) and 1 outputs", "index"),
         ),
         (
             lambda: unfit(
@@ -344,16 +368,18 @@ class _Any:
                 unknown_disturbances=[Variable("load")],
                 ode=lambda x, u, p, t: [x.x2, -x.x1 - x.x3 + u.load, -x.x3],
             ),
-            ("observability", "rank 1, not 2"),
+            ("load", "rank 1, not 2", "no gain moves its eigenvalue -1"),
         ),
     ],
     ids=[
         "dependent",
         "unobservable",
         "too many",
-        "feedthrough",
+        "input inside",
+        "disturbed output",
         "index 2",
-        "no relaxation left",
+        "unmeasured force",
+        "too few outputs",
         "state times load",
         "hidden",
     ],
@@ -372,13 +398,31 @@ def test_a_model_that_breaks_an_assumption_is_refused_by_name(make, words):
         ({"form": "euler"}, ("form", "euler")),
         ({"form": "bdf", "order": 6}, ("order", "6")),
         ({"poles": [-1.0]}, ("poles", "3")),
-        ({"poles": [-1.0, 0.0, -1.0]}, ("poles", "negative")),
+        ({"poles": [-1.0, 0.0, -1.0]}, ("poles", "real parts")),
+        ({"poles": [-1.0, -1.0 + 2.0j, -1.0]}, ("-1+2j", "conjugate")),
         ({"gain": "best"}, ("gain", "best")),
         ({"gain": "regional", "alpha": -1.0}, ("alpha", "-1")),
-        ({"gain": "regional", "X": [1.0]}, ("X", "2 entries")),
+        ({"gain": "regional", "X": [1.0]}, ("X", "2 numbers or a 2 x 2 matrix")),
+        ({"gain": "regional", "X": [[1.0, 2.0], [2.0, 1.0]]}, ("X", "positive definite")),
+        ({"gain": "regional", "X": [[1.0, 0.2], [0.1, 1.0]]}, ("X", "symmetric")),
+        ({"degree": 10}, ("degree", "10")),
         ({"gain": lambda x, u, p, t: [[1, 2]]}, ("3 rows of 2",)),
     ],
-    ids=["sample_time", "form", "order", "poles", "stable", "gain", "alpha", "X", "shape"],
+    ids=[
+        "sample_time",
+        "form",
+        "order",
+        "poles",
+        "stable",
+        "lonely",
+        "gain",
+        "alpha",
+        "X",
+        "indefinite",
+        "skew",
+        "degree",
+        "shape",
+    ],
 )
 def test_an_option_out_of_range_is_refused_by_name(options, words):
     with pytest.raises(ValueError) as caught:

@@ -73,15 +73,22 @@ def test_outputs_are_the_estimate_of_their_own_time_for_parts_of_a_sample(exampl
 
 
 def test_an_actuator_fault_is_detected_within_50_ms_and_noise_alone_never_in_60_s(example: Example) -> None:
-    quiet = example("motor", stop=64.0, overrides=NOISE)["observer.diagnostics.fault"]
-    assert set(quiet[4000:]) <= {fault_detector.QUIET, fault_detector.SUSPECTED}
-    for onset in (4.0, 64.0):
+    for seed in (0, 5):
+        quiet = example("motor", stop=64.0, overrides=NOISE | {"plant.sensor.seed": seed})
+        assert set(quiet["observer.diagnostics.fault"][4000:]) <= {fault_detector.QUIET, fault_detector.SUSPECTED}
+    for onset, seed in ((64.0, 0), *((4.0, seed) for seed in range(8))):
         fault = {"plant.model.actuator_fault_jump_time[1]": onset, "plant.model.actuator_fault_jump_value[1]": 2.0}
-        result = example("motor", stop=onset + 1.0, overrides=NOISE | fault)
+        result = example("motor", stop=onset + 1.0, overrides=NOISE | fault | {"plant.sensor.seed": seed})
         detected = result["observer.diagnostics.fault"] == fault_detector.DETECTED
         first = result.time[np.flatnonzero(detected)[0]]
         assert onset < first <= onset + 0.05
         assert detected[result.time > first].mean() > 0.5
+
+
+def test_an_actuator_fault_drives_lambda_2_to_the_references_0_31(example: Example) -> None:
+    fault = {"plant.model.actuator_fault_jump_time[1]": 4.0, "plant.model.actuator_fault_jump_value[1]": 2.0}
+    residual = np.abs(example("motor", overrides=fault)["observer.diagnostics.lambda[2]"])
+    assert residual[3500:4000].max() < 6e-4 and residual[4001:].max() == pytest.approx(0.31, rel=0.03)
 
 
 def test_a_sensor_bias_shows_in_lambda_2_at_its_size(example: Example) -> None:
@@ -90,6 +97,10 @@ def test_a_sensor_bias_shows_in_lambda_2_at_its_size(example: Example) -> None:
     assert np.abs(result["observer.diagnostics.lambda[2]"][4050:] - 0.1).max() < 1e-3
     assert np.abs(result["observer.diagnostics.lambda[1]"][4050:]).max() < 1e-3
     assert result["observer.diagnostics.fault"][4010] == fault_detector.DETECTED
+    for seed in range(3):
+        noisy = example("motor", overrides=NOISE | bias | {"plant.sensor.seed": seed})
+        assert noisy["observer.diagnostics.lambda[2]"][4050:].mean() == pytest.approx(0.1, abs=1e-3)
+        assert np.abs(noisy["observer.diagnostics.lambda[2]"][4050:] - 0.1).max() < 0.01
 
 
 @pytest.mark.parametrize("name", ["motor", "motor_regional", "motor_bdf"])
@@ -144,11 +155,12 @@ def response(slave: Callable, frequency: float, gamma: tuple[float, float]) -> c
     return complex(real, imaginary)
 
 
-@pytest.mark.parametrize("part", [0.005, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("part", [0.005, 0.02, 0.05, 0.08, 0.1])
+@pytest.mark.parametrize("pole", [-1.0, -4.0, -10.0])
 def test_example_2_3_has_the_transfer_function_2_66_up_to_a_tenth_of_the_sampling_frequency(
-    catalogue_slave: Callable, part: float
+    catalogue_slave: Callable, part: float, pole: float
 ) -> None:
-    frequency, gamma = part * 2 * math.pi / 0.01, (2.0, 1.0)
+    frequency, gamma = part * 2 * math.pi / 0.01, (-2 * pole, pole**2)
     s = 1j * frequency
     expected = gamma[1] * s / (s**2 + gamma[0] * s + gamma[1])
     assert abs(response(catalogue_slave, frequency, gamma) - expected) < 1e-4

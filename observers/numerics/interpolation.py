@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-CUBIC = 3
+HIGHEST = 9  # degree; at the middle of the last interval its weights add up to 15 in absolute value, the cubic's to 1.6
 
 
 def lagrange_weights(degree: int, at: Fraction) -> list[Fraction]:
@@ -39,15 +39,14 @@ def lagrange_slopes(degree: int, at: Fraction) -> list[Fraction]:
     return slopes
 
 
-def interpolated(samples: list[Any], k: Any, at: Fraction, derivative: bool = False) -> Any:
-    """Value (or derivative, per sample interval) at `at` in [-1, 0], between the last two of `samples`, newest first.
+def interpolated(samples: list[Any], k: Any, at: Fraction, degree: int) -> Any:
+    """Value at `at` in [-1, 0], between the last two of `samples`, newest first, of the polynomial of `degree` through degree + 1 of them.
 
-    The samples (p x 1 each) are the k-th and those before it; while k < 3 the polynomial has degree k, then it is the cubic.
+    The samples (p x 1 each) are the k-th and those before it; while k < degree the polynomial has degree k.
     """
-    rule = lagrange_slopes if derivative else lagrange_weights
     value = None
-    for degree in range(CUBIC, 0, -1):
-        weights = rule(degree, at)
+    for use in range(degree, 0, -1):
+        weights = lagrange_weights(use, at)
         here = sum(float(w) * y for w, y in zip(weights, samples, strict=False) if w)
-        value = here if value is None else ca.if_else(k > degree, value, here)
+        value = here if value is None else ca.if_else(k > use, value, here)
     return value

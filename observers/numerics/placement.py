@@ -13,17 +13,10 @@ def observability_matrix(c: ca.SX, A: ca.SX) -> ca.SX:
     return ca.vertcat(*rows)
 
 
-def polynomial_at(A: ca.SX, roots: ca.SX) -> ca.SX:
-    """(A - r_1 I) (A - r_2 I) ... (n x n) for the entries of `roots` (m x 1)."""
-    identity = ca.SX.eye(A.shape[0])
-    product = identity
-    for i in range(roots.numel()):
-        product = ca.mtimes(A - roots[i] * identity, product)
-    return product
+def ackermann(A: ca.SX, c: ca.SX, polynomial: ca.SX, eps: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """(J, det O): J (n x 1) gives A - J c (c 1 x n) the roots of w as eigenvalues, where det O is large against `eps`.
 
-
-def ackermann(A: ca.SX, c: ca.SX, poles: ca.SX, eps: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(J, det O): J (n x 1) gives A - J c (c 1 x n) the eigenvalues `poles` (n x 1), where det O is large against `eps`.
+    `polynomial`: w(A) (n x n), w monic of degree n.
 
     J = w(A) O^-1 e_n (Ackermann 1972) with O^-1 e_n = cofactors / det O, whose division is guarded:
     1 / det O becomes det O / (det O^2 + eps^2).
@@ -35,4 +28,4 @@ def ackermann(A: ca.SX, c: ca.SX, poles: ca.SX, eps: ca.SX) -> tuple[ca.SX, ca.S
     cofactors = ca.vertcat(*[(-1) ** (n - 1 + i) * ca.det(minor) if n > 1 else 1 for i, minor in enumerate(minors)])
     determinant = ca.dot(O[n - 1, :].T, cofactors)
     guarded = determinant / (determinant**2 + eps**2)
-    return ca.mtimes(polynomial_at(A, poles), cofactors * guarded), determinant
+    return ca.mtimes(polynomial, cofactors * guarded), determinant
