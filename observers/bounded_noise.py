@@ -1,12 +1,13 @@
 """Bounded measurement noise: section 3.4 of Gong, Ross & Kang 2007, (36) to (40) and Problem 3.
 
 With |d_i| <= b the clean output lies in the tube sigma1 <= h(z(t_i)) <= sigma2 (38). For a new sample the tube is y +- b (39), cut with
-what the past data leave possible (40): y_pre +- sqrt(J*), where J* of Problem 3 is how far a trajectory through the tube of the older samples
-can be from the predicted output at the new one.
+what the past data leave possible (40): y_pre +- sqrt(J*), where J* of Problem 3 is how far a trajectory through the tube of the older
+samples can be from the predicted output at the new one.
 
 What deviates, and why: Problem 3 is solved on the window that ends with the new sample, so that the oldest sample has left it (a bound
-that is slightly wider, and still a bound). It is solved once for the largest and once for the smallest output, each only locally: the
-bound gets a margin (`tuning.bound_margin`), and where one of the two does not converge y +- b stays, which is counted.
+that is slightly wider, and still a bound). It is solved for the largest and for the smallest output, each only locally: the bound gets a
+margin (`tuning.bound_margin`), and where one of the two does not converge y +- b stays, which is counted. Bounds that have gone wrong all
+the same contradict the samples sooner or later: then all of the window's start again from y +- b.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ import pytest
 
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
+from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 
@@ -84,12 +85,12 @@ def test_a_method_refuses_what_it_does_not_treat_by_name():
     dae = pendulum(
         algebraic=[Variable("z")],
         algebraic_equations=lambda x, z, u, p, t: [z.z - x.angle],
-        ode=lambda x, z, u, p, t: [x.rate, -z.z],
+        ode=lambda x, z, u, p, t: [x.rate, -p.friction * x.rate - z.z],
         output=lambda x, z, u, p, t: [x.angle],
     )
     disturbed = pendulum(unknown_disturbances=[Variable("wind")])
     with pytest.raises(ModelError, match=r"model 'pendulum' has algebraic \(z\)"):
-        pseudospectral(dae, sample_time=0.1)
+        ukf(dae, sample_time=0.1)
     for make in (plant, lambda model: pseudospectral(model, sample_time=0.1)):
         with pytest.raises(ModelError, match=r"has unknown disturbances \(wind\)"):
             make(disturbed)
