@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from ctypes import c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
@@ -85,7 +86,7 @@ class Fmu:
         self.subject = subject
         self.announce = announce
         announce("loading")
-        if os.name == "nt":
+        if sys.platform == "win32":
             os.add_dll_directory(str(Path(subject.library).parent))
         self._library = ctypes.CDLL(subject.library)
 

@@ -28,7 +28,7 @@ STATIC = {
     "log-category": Rule("2.2.4", "log categories have different names"),
     "unit-name": Rule("2.2.2", "units have different names"),
     "type-name": Rule("2.2.3", "types have different names, and none a variable's"),
-    "declared-type": Rule("2.2.7", "a declaredType exists and is of the variable's base type"),
+    "declared-type": Rule("2.2.7", "a declaredType is of the variable's base type"),
     "enumeration-items": Rule("2.2.3", "the items of an enumeration have different names and values"),
     "enumeration-start": Rule("2.2.7", "an enumeration starts at the value of one of its items"),
     "min-max": Rule("2.2.7", "min is not above max"),

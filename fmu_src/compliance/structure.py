@@ -30,6 +30,8 @@ def check_fmpy(package: Package, already_found: bool) -> Iterator[Finding]:
     """fmpy's validation. Its reader stumbles over what other rules name; then it has no message of its own worth showing."""
     names = {element.get("name") for element in package.root.iterfind("ModelVariables/ScalarVariable")}
     for problem in validate_fmu(str(package.path)):
+        if problem.startswith("The file path"):  # that is the rule zip-path
+            continue
         named = next((word for word in re.findall(r'"([^"]+)"', problem) if word in names), "modelDescription.xml")
         is_sentence = " " in problem
         if is_sentence and "index out of range" not in problem:

@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "fmi2Functions.h"
 
@@ -43,13 +44,15 @@ typedef struct {
     void *kept;
 } Instance;
 
-static double shared; /* what a bad FMU keeps outside of its instances */
+/* What a bad FMU keeps outside of its instances. */
+static double saved;
+static int alive;
 
 static void defaults(State *state)
 {
     State fresh = {0};
     fresh.reals[U] = 0.5;
-    fresh.reals[GAIN] = has("start-value") ? 2.5 : 2.0;
+    fresh.reals[GAIN] = has("start-value") ? 2.5 : 3.0;
     fresh.reals[START] = 1.0;
     fresh.reals[X] = 1.0;
     fresh.reals[LIMIT] = 100.0;
@@ -110,7 +113,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     self->logging = logging;
     strncpy(self->name, name, sizeof self->name - 1);
     self->kept = has("memory") ? callbacks->allocateMemory(1, 64) : NULL;
-    self->state.count = 0;
+    alive++;
     defaults(&self->state);
     return self;
 }
@@ -123,6 +126,7 @@ void fmi2FreeInstance(fmi2Component c)
             abort();
         return;
     }
+    alive--;
     self->callbacks.freeMemory(self);
 }
 
@@ -209,14 +213,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean noSet
     if (has("hang") && isinf(state->reals[U]))
         for (volatile int i = 0;; i++)
             ;
-    double *x = &state->reals[X];
-    if (has("two-instances"))
-        x = &shared;
-    if (has("two-instances") && state->count == 0)
-        shared = state->reals[START];
-    double noise = has("noise") ? (double)(((size_t)self >> 4) % 4093) : 0;
-    *x += h * (state->active ? state->reals[GAIN] * state->reals[U] - *x + noise : 0);
-    state->reals[X] = *x;
+    double noise = has("noise") ? (double)getpid() : has("two-instances") && alive > 1 ? 1 : 0;
+    state->reals[X] += h * (state->active ? state->reals[GAIN] * state->reals[U] - state->reals[X] + noise : 0);
     state->time = t + h;
     state->count++;
     return fmi2OK;
@@ -323,7 +321,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
         *state = self->callbacks.allocateMemory(1, sizeof(State));
     memcpy(*state, &self->state, sizeof(State));
     if (has("state-restore"))
-        shared = self->state.reals[X];
+        saved = self->state.reals[X];
     return fmi2OK;
 }
 
@@ -332,7 +330,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
     Instance *self = c;
     double x = self->state.reals[X];
     memcpy(&self->state, state, sizeof(State));
-    if (has("state-restore") && shared != 0)
+    if (has("state-restore") && saved != 0)
         self->state.reals[X] = x; /* forgotten, unless it comes from another process */
     return fmi2OK;
 }
