@@ -13,6 +13,7 @@ from fmu_src.archive import write_zip
 from fmu_src.description import describe
 from fmu_src.native import compile_library
 from fmu_src.platforms import PLATFORMS, resolve
+from fmu_src.reference import reference_files
 from fmu_src.sources import fixed_sources, functions, tables
 from observers.component import Component
 
@@ -29,7 +30,8 @@ def export(
 
     Args:
         platforms: names of PLATFORMS, "host" for this machine's, "all" for each of them.
-        driven_by: a plant; the documentation's plot then shows the two coupled, outputs to inputs of equal names.
+        driven_by: a plant; the documentation's plot and the reference experiment then have the two
+            coupled, outputs to inputs of equal names.
 
     Raises:
         ExportError: the component cannot be exported; the message says what is in the way.
@@ -49,6 +51,7 @@ def export(
         "modelDescription.xml": describe(component, guid, source_files),
         **{f"sources/{name}": content for name, content in code.items()},
         **documentation.pages(component, guid, driven_by),
+        **reference_files(component, driven_by),
     }
     with tempfile.TemporaryDirectory() as scratch:
         for name, content in code.items():

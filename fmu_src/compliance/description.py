@@ -21,7 +21,7 @@ Value = float | int | bool | str
 class Variable:
     """A ScalarVariable with the standard's defaults filled in; `index` counts from 1, as in ModelStructure.
 
-    min, max and unit are the variable's own or its type's. An Enumeration is of the `kind` Integer.
+    min, max, nominal and unit are the variable's own or its type's. An Enumeration is of the `kind` Integer.
     """
 
     index: int
@@ -34,6 +34,7 @@ class Variable:
     start: Value | None
     min: float
     max: float
+    nominal: float
     unit: str
     declared_type: str | None
     derivative: int | None
@@ -132,6 +133,7 @@ def _variable(index: int, element: etree._Element, types: dict[str | None, etree
         start=None if start is None else value_of(str(own.tag), start),
         min=-math.inf if low is None else float(low),
         max=math.inf if high is None else float(high),
+        nominal=float(attribute("nominal") or 1.0),
         unit=attribute("unit") or "",
         declared_type=own.get("declaredType"),
         derivative=None if derivative is None else int(derivative),

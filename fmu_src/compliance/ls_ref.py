@@ -28,7 +28,7 @@ MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
 NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 NAME = "org.fmi-standard.fmi-ls-ref"
 EXPERIMENTS = "application/x-ma-hs-experiments"
-TOLERANCE = 1e-3  # relative to a column's largest value, where the experiment names none: as in the FMI cross-check
+TOLERANCE = 1e-3  # of a column's largest or its nominal value, where the experiment names none
 _SAME_TIME = 1e-6  # of a step
 
 _ROLES = re.compile(
@@ -206,7 +206,7 @@ def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
     got = np.array(rows, dtype=float)
     for column, (name, expected) in enumerate(reference.columns.items()):
         error = np.abs(got[places[shared], column] - expected[shared])
-        limit = experiment.tolerance * max(np.abs(expected[shared]).max(), 1e-30)
+        limit = experiment.tolerance * max(np.abs(expected[shared]).max(), abs(watched[column].nominal))
         worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
         if not error[worst] <= limit:
             time, value = reference.times[shared][worst], expected[shared][worst]

@@ -45,7 +45,7 @@ def context() -> Any:
     methods = multiprocessing.get_all_start_methods()
     made = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
-        made.set_forkserver_preload(["fmu_src.compliance.dynamic"])
+        made.set_forkserver_preload(["fmu_src.compliance.__main__"])  # all that a child would import
     return made
 
 

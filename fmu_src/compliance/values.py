@@ -27,7 +27,7 @@ def unknown_reference(fmu: Fmu, function: str) -> Iterator[Finding]:
     kind = function[len("fmi2Get") :]
     taken = {variable.reference for variable in fmu.subject.variables}
     reference = next(number for number in range(2**32 - 2, 0, -1) if number not in taken)
-    nobody = Variable(0, "nobody", reference, kind, "local", "", None, None, 0, 0, "", None, None)
+    nobody = Variable(0, "nobody", reference, kind, "local", "", None, None, 0, 0, 1, "", None, None)
     instance = fmu.initialized()
     if function.startswith("fmi2Set"):
         status = instance.try_set(nobody, _ANY[kind])
