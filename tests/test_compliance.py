@@ -255,11 +255,11 @@ def test_libraries_of_other_platforms_are_read_too(make: Make, sound: Contents, 
     assert found(make({BINARY: None, name: hidden})) == {"exports"}
 
 
-def ls_ref(reference: str, changes: Mapping[str, str] | None = None) -> dict[str, bytes | None]:
+def ls_ref(reference: str, changes: Mapping[str, str] | None = None, step: str = "0.1") -> dict[str, bytes | None]:
     """Files of the layered standard: one experiment, whose reference results are the rows of `reference`."""
     experiment = (
         '<Experiments name="smoke"><Experiment name="ramp" tolerance="1e-6"><TransientSimulation startTime="0" stopTime="0.2" '
-        'stepSize="0.1"/><Stimuli source="in.csv"/><References source="out.csv"/></Experiment></Experiments>'
+        f'stepSize="{step}"/><Stimuli source="in.csv"/><References source="out.csv"/></Experiment></Experiments>'
     )
     files = {"smoke.exp": experiment, "in.csv": "time,u\n0,0\n0.2,1\n", "out.csv": reference}
     roles = {"smoke.exp": "experiment/smoke-test", "in.csv": "other", "out.csv": "result"}
@@ -302,9 +302,10 @@ def test_a_defect_of_the_references_is_found_by_its_rule_alone(make: Make, rule:
     assert found(make(ls_ref(*DEFECTS_OF_THE_REFERENCES[rule]))) == {rule}
 
 
-def test_related_files_that_are_not_there_and_tables_that_are_none_are_found(make: Make) -> None:
+def test_files_that_are_not_there_and_experiments_that_cannot_be_run_are_found(make: Make) -> None:
     assert found(make({**ls_ref(RIGHT), f"{FOLDER}/in.csv": None})) == {"ls-ref-manifest"}
     assert found(make(ls_ref("time,x\n0,one\n"))) == {"ls-ref-manifest"}
+    assert found(make(ls_ref(RIGHT, step="0"))) == {"ls-ref-manifest"}
 
 
 def test_every_rule_has_an_fmu_that_only_it_catches() -> None:
@@ -335,6 +336,7 @@ def test_the_command_line_says_one_line_for_each_finding_and_writes_junit(make: 
     assert len(lines) == 3 and lines[-1].endswith("rules, 2 findings")
     suites = list(JUnitXml.fromfile(str(out)))
     assert len(suites) == 1 and suites[0].tests > 50 and suites[0].failures == 2
+    assert command(path, "--junit", tmp_path / "nowhere" / "out.xml").returncode == 2
     failed = [case for case in suites[0] if case.result]
     assert [case.name.split()[0] for case in failed] == ["set-constant"]
 

@@ -78,7 +78,7 @@ def _check_unpacked(directory: Path, description: Description, report: Report, p
 
 
 def _subject(directory: Path, description: Description, library: str) -> Subject:
-    """The default experiment; where it says no step size, a hundredth of it; where it says nothing, a second of it."""
+    """The default experiment; where it says no step size, a hundredth of it; where it says nothing, 10 ms."""
     experiment = description.experiment
     start, stop = experiment.get("startTime", 0.0), experiment.get("stopTime")
     step = experiment.get("stepSize") or ((stop - start) / 100 if stop is not None and stop > start else 0.01)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from lxml import etree
 
 from fmu_src.compliance.description import Variable
 from fmu_src.compliance.finding import Finding
-from fmu_src.compliance.fmu import Fmu, Subject
+from fmu_src.compliance.fmu import Fmu, Instance, Subject
 from fmu_src.compliance.rules import finding
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
@@ -142,17 +143,19 @@ def read_experiments(file: Path, subject: Subject) -> list[Experiment]:
             settings = dict(element.attrib) | (dict(simulation.attrib) if simulation is not None else {})
             reference = _table(file, element.find("References"))
             stimuli = element.find("Stimuli")
-            found.append(
-                Experiment(
-                    name=settings.get("name", "experiment"),
-                    start=float(settings.get("startTime", subject.start)),
-                    stop=float(settings.get("stopTime", reference.times[-1])),
-                    step=float(settings.get("stepSize", subject.step)),
-                    tolerance=float(settings.get("tolerance", TOLERANCE)),
-                    stimuli=None if stimuli is None else _table(file, stimuli),
-                    reference=reference,
-                )
+            experiment = Experiment(
+                name=settings.get("name", "experiment"),
+                start=float(settings.get("startTime", subject.start)),
+                stop=float(settings.get("stopTime", reference.times[-1])),
+                step=float(settings.get("stepSize", subject.step)),
+                tolerance=float(settings.get("tolerance", TOLERANCE)),
+                stimuli=None if stimuli is None else _table(file, stimuli),
+                reference=reference,
             )
+            if not (experiment.step > 0 and experiment.start <= experiment.stop < math.inf):
+                times = f"{experiment.start:g} to {experiment.stop:g} by {experiment.step:g}"
+                raise ValueError(f"experiment {experiment.name} cannot be run from {times}")
+            found.append(experiment)
     return found
 
 
@@ -185,7 +188,7 @@ def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
     watched = [by_name[name] for name in reference.columns]
     steps = round((experiment.stop - experiment.start) / experiment.step)
     instance = fmu.new()
-    _apply(instance.set, by_name, stimuli, experiment.start)
+    _apply(instance, by_name, stimuli, experiment.start)
     instance.legal("fmi2SetupExperiment", 0, 0.0, experiment.start, 0, 0.0)
     instance.legal("fmi2EnterInitializationMode")
     instance.legal("fmi2ExitInitializationMode")
@@ -193,7 +196,7 @@ def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
     for k in range(steps + 1):
         time = experiment.start + k * experiment.step
         if k > 0:
-            _apply(instance.set, by_name, stimuli, time)
+            _apply(instance, by_name, stimuli, time)
         rows.append(list(instance.read(watched).values()))
         if k < steps:
             instance.legal("fmi2DoStep", time, experiment.step, 1, about=f"experiment {experiment.name}")
@@ -214,15 +217,15 @@ def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
             yield finding("ls-ref-replay", name, expectation, f"{got[places[shared], column][worst]:.9g}")
 
 
-def _apply(set_value: object, by_name: dict[str, Variable], stimuli: Table | None, time: float) -> None:
+def _apply(instance: Instance, by_name: dict[str, Variable], stimuli: Table | None, time: float) -> None:
     """Continuous inputs are interpolated linearly between the rows, others keep the row's value."""
-    assert callable(set_value)
-    for name, values in (stimuli.columns if stimuli else {}).items():
+    if stimuli is None:
+        return
+    for name, values in stimuli.columns.items():
         variable = by_name[name]
-        assert stimuli is not None
         if variable.variability == "continuous":
             value = float(np.interp(time, stimuli.times, values))
         else:
             row = max(int(np.searchsorted(stimuli.times, time * (1 + 1e-12), side="right")) - 1, 0)
             value = float(values[row])
-        set_value(variable, value if variable.type == "Real" else int(value))
+        instance.set(variable, value if variable.type == "Real" else int(value))

@@ -48,7 +48,7 @@ def open_package(path: Path) -> Package:
             root = etree.fromstring(archive.read("modelDescription.xml"))
     except OSError as error:
         raise NotAnFmu(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+    except (zipfile.BadZipFile, zlib.error, RuntimeError) as error:  # the last: encrypted, or an unknown method
         raise NotAnFmu(f"{path}: not an FMU: no sound zip file ({error})") from None
     except KeyError:
         raise NotAnFmu(f"{path}: not an FMU: there is no modelDescription.xml in it") from None
