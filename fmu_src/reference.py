@@ -12,7 +12,9 @@ iterations and the residuals of a solver may differ from machine to machine in e
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import math
 from collections.abc import Mapping
 
@@ -85,9 +87,11 @@ def _rounded(port: Port, values: np.ndarray) -> np.ndarray:
 
 
 def _table(times: np.ndarray, columns: Mapping[str, np.ndarray]) -> bytes:
-    rows = [",".join(["time", *columns])]
-    rows += [",".join(repr(float(cell)) for cell in row) for row in zip(times, *columns.values(), strict=True)]
-    return ("\n".join(rows) + "\n").encode()
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")  # quotes names such as Q[1,2]
+    writer.writerow(["time", *columns])
+    writer.writerows([repr(float(cell)) for cell in row] for row in zip(times, *columns.values(), strict=True))
+    return file.getvalue().encode()
 
 
 def _experiment(component: Component, steps: int, has_stimuli: bool) -> bytes:

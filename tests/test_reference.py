@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import hashlib
 import io
@@ -113,3 +114,12 @@ def test_last_bits_that_differ_between_machines_do_not_show(observer: Component,
 def test_what_is_zero_but_for_rounding_errors_is_written_as_zero() -> None:
     results = reference_files(scaled(feedthrough_toy(), 1e-15), None)[f"{FOLDER}/default_results.csv"]
     assert {row.split(",", 1)[1] for row in results.decode().splitlines()[1:]} == {"0.0,0.0"}
+
+
+def test_names_with_a_comma_are_one_column() -> None:
+    toy = feedthrough_toy()
+    outputs = (dataclasses.replace(toy.outputs[0], name="Q[1,2]"), toy.outputs[1])
+    results = reference_files(dataclasses.replace(toy, outputs=outputs), None)[f"{FOLDER}/default_results.csv"]
+    rows = list(csv.reader(io.StringIO(results.decode())))
+    assert rows[0] == ["time", "Q[1,2]", "bias_now"]
+    assert {len(row) for row in rows} == {3}
