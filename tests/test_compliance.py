@@ -321,6 +321,12 @@ def test_model_exchange_alone_gets_the_static_checks_and_a_note(make: Make, soun
     assert report.findings == [] and report.notes == ["no co-simulation: the FMU was not driven"]
 
 
+def test_an_fmu_that_also_offers_model_exchange_must_export_its_functions(make: Make) -> None:
+    report = check(make(edits={"<CoSimulation ": '<ModelExchange modelIdentifier="broken"/><CoSimulation '}))
+    assert [finding.rule for finding in report.findings] == ["exports"]
+    assert "fmi2SetTime" in report.findings[0].found and "fmi2DoStep" not in report.findings[0].found
+
+
 def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "fmu_src.compliance", *map(str, arguments)], cwd=ROOT, capture_output=True, text=True

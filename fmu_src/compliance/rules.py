@@ -24,7 +24,7 @@ STATIC = {
     "guid": Rule("2.2.1", "the guid is not empty"),
     "model-identifier": Rule("4.3.1", "the modelIdentifier is a C identifier"),
     "state-flags": Rule("4.3.1", "canSerializeFMUstate needs canGetAndSetFMUstate"),
-    "default-experiment": Rule("2.2.5", "start before stop time, step size and tolerance positive"),
+    "default-experiment": Rule("2.2.5", "stop time not before start time, step size and tolerance positive"),
     "log-category": Rule("2.2.4", "log categories have different names"),
     "unit-name": Rule("2.2.2", "units have different names"),
     "type-name": Rule("2.2.3", "types have different names, and none a variable's"),

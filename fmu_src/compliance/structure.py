@@ -54,9 +54,9 @@ def check_document(description: Description) -> Iterator[Finding]:
             yield finding("log-category", name, "one category of this name", str(count))
     experiment = description.experiment
     start = experiment.get("startTime", 0.0)
-    if "stopTime" in experiment and not experiment["stopTime"] > start:
+    if "stopTime" in experiment and not experiment["stopTime"] >= start:
         found = f"{experiment['stopTime']:.10g}"
-        yield finding("default-experiment", "stopTime", f"a time after startTime = {start:.10g}", found)
+        yield finding("default-experiment", "stopTime", f"a time not before startTime = {start:.10g}", found)
     for name in ("stepSize", "tolerance"):
         if name in experiment and not experiment[name] > 0:
             yield finding("default-experiment", name, "a positive number", f"{experiment[name]:.10g}")
