@@ -144,7 +144,6 @@ DEFECTS_OF_THE_FILES: dict[str, Callable[[bytes], dict[str, bytes | None]]] = {
     "binary-missing": lambda library: {BINARY: None, f"binaries/{HOST}/other{SUFFIX}": library},
     "binary-format": lambda library: {BINARY: elf_of(40, library)},
     "exports": lambda library: {BINARY: library.replace(b"fmi2CancelStep\0", b"fmi2CancelStop\0")},
-    "needed-libraries": lambda library: {BINARY: library.replace(b"libc.so.6\0", b"libz.so.6\0")},
     "source-files": lambda library: {"sources/broken.c": None, "sources/Broken.c": b""},
 }
 
@@ -241,6 +240,21 @@ def test_undefined_symbols_are_found(
     assert [(finding.rule, finding.found) for finding in report.findings] == [("undefined-symbols", "elsewhere")]
 
 
+def test_needed_libraries_that_no_machine_need_have_are_found(
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The run-time library of GCC: most machines have it, so the FMU loads here and nothing else is wrong with it.
+    folder = tmp_path / "code"
+    name, link = "libgcc_s.so.1", native.LINK
+    monkeypatch.setattr(native, "LINK", (*link, f"-Wl,-soname,{name}"))
+    stub = compiled(folder, source="int nothing(void); int nothing(void) { return 0; }")
+    (folder / name).write_bytes(stub)
+    monkeypatch.setattr(native, "LINK", (*link, "-Wl,--no-as-needed", name))
+    report = check(make({BINARY: compiled(folder)}))
+    assert [(finding.rule, finding.found) for finding in report.findings] == [("needed-libraries", name)]
+    assert report.notes == []
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("platform", ["win64", "darwin64", "aarch64-linux", "aarch64-darwin"])
 def test_libraries_of_other_platforms_are_read_too(make: Make, sound: Contents, tmp_path: Path, platform: str) -> None:
@@ -309,7 +323,7 @@ def test_files_that_are_not_there_and_experiments_that_cannot_be_run_are_found(m
 
 
 def test_every_rule_has_an_fmu_that_only_it_catches() -> None:
-    covered = {"zip-sound", "zip-method", "load", "undefined-symbols"}
+    covered = {"zip-sound", "zip-method", "load", "undefined-symbols", "needed-libraries"}
     covered |= set(DEFECTS_OF_THE_DESCRIPTION) | set(DEFECTS_OF_THE_FILES) | set(DEFECTS_OF_THE_REFERENCES)
     assert covered | set(DEFECTS_OF_THE_LIBRARY.values()) == set(RULES) == set(STATIC) | set(DYNAMIC)
 

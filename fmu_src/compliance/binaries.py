@@ -38,9 +38,11 @@ _SYSTEM = {
         r"(lib(c|m|pthread|dl|rt|util)\.so\.6|lib(pthread|dl|rt|util)\.so\.\d|ld-linux[\w-]*\.so\.\d|libc\.musl-.*)\Z"
     ),
     ".dll": re.compile(
-        r"(kernel32|kernelbase|ntdll|msvcrt|ucrtbase|user32|advapi32|api-ms-win-[\w-]+)\.dll\Z", re.IGNORECASE
+        r"(kernel32|kernelbase|ntdll|msvcrt|ucrtbase|user32|gdi32|advapi32|shell32|shlwapi|ole32|oleaut32|rpcrt4|ws2_32|winmm"
+        r"|bcrypt|bcryptprimitives|crypt32|userenv|version|psapi|dbghelp|iphlpapi|api-ms-win-[\w-]+)\.dll\Z",
+        re.IGNORECASE,
     ),
-    ".dylib": re.compile(r"/usr/lib/libSystem(\.B)?\.dylib\Z"),
+    ".dylib": re.compile(r"/usr/lib/|/System/Library/"),
 }
 
 
@@ -100,7 +102,7 @@ def _check_dependencies(path: str, library: Library, suffix: str, beside: set[st
         name for name in library.needed if not system.match(name) and PurePosixPath(name).name not in own
     )
     if strangers:
-        expected = "the system's C library, and what lies beside it"
+        expected = "what the system has, or what lies beside it"
         yield finding("needed-libraries", path, expected, ", ".join(strangers))
     open_symbols = sorted(
         name

@@ -19,6 +19,7 @@ from fmu_src.compliance.structure import check_document, check_fmpy, check_schem
 from fmu_src.compliance.variables import check_variables
 
 _ARCHIVE = ("zip-sound", "zip-method", "zip-path", "xml-schema")
+_UNUSABLE = ("binary-format", "exports", "undefined-symbols")  # not needed-libraries: here they may well be
 _LAYERED = ("ls-ref-manifest", "ls-ref-checksum")
 
 
@@ -64,7 +65,7 @@ def _check_unpacked(directory: Path, description: Description, report: Report, p
         report.notes.append("no co-simulation: the FMU was not driven")
     elif library is None or not (directory / library).is_file():
         report.notes.append(f"no binary for this machine ({library or 'unknown to FMI'}): the FMU was not driven")
-    elif any(found.subject == library for found in report.findings):
+    elif any(found.subject == library and found.rule in _UNUSABLE for found in report.findings):
         report.notes.append(f"{library} is not sound: the FMU was not driven")
     else:
         subject = _subject(directory, description, library)
