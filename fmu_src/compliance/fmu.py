@@ -85,6 +85,7 @@ class Fmu:
     def __init__(self, subject: Subject, announce: Callable[[str], None] = lambda call: None):
         self.subject = subject
         self.announce = announce
+        self.refusal = ""  # what the FMU said when it returned no instance
         announce("loading")
         if sys.platform == "win32":
             os.add_dll_directory(str(Path(subject.library).parent))
@@ -116,6 +117,7 @@ class Fmu:
             fmi2.fmi2True if logging else fmi2.fmi2False,
         )
         if instance.pointer is None:
+            self.refusal = instance.reason
             return None
         instance.pointer = c_void_p(instance.pointer)
         return instance
@@ -124,7 +126,7 @@ class Fmu:
         """A new instance; Broken where the FMU refuses."""
         instance = self.instantiate(name, logging=logging)
         if instance is None:
-            raise Broken(finding("instantiate", "fmi2Instantiate", "an instance", "a null pointer"))
+            raise Broken(finding("instantiate", "fmi2Instantiate", "an instance", f"a null pointer{self.refusal}"))
         return instance
 
     def initialized(self, name: str = "instance", logging: bool = False) -> Instance:
@@ -169,6 +171,11 @@ class Instance:
         """The current communication point; counted, not accumulated."""
         return self.subject.start + self.steps * self.subject.step
 
+    @property
+    def reason(self) -> str:
+        """The last message, to stand behind what happened."""
+        return f": {self.messages[-1][3].strip()}" if self.messages else ""
+
     def call(self, name: str, *arguments: Any) -> int:
         """Call a function that returns a status; a pending one is waited for."""
         status: int = self.fmu.function(name)(self.pointer, *arguments)
@@ -189,8 +196,7 @@ class Instance:
         status = self.call(name, *arguments)
         if status not in (OK, WARNING):
             subject = f"{name} of {about}" if about else name
-            reason = f": {self.messages[-1][3].strip()}" if self.messages else ""
-            raise Broken(finding("legal-call", subject, "fmi2OK", status_name(status) + reason))
+            raise Broken(finding("legal-call", subject, "fmi2OK", status_name(status) + self.reason))
 
     def setup(self, stop: float | None = None) -> Instance:
         defined = stop is not None
