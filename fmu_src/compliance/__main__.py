@@ -8,6 +8,7 @@ from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from fmu_src.compliance.check import check
 from fmu_src.compliance.finding import Report
@@ -29,8 +30,8 @@ def main(
     reports, refused = [], False
     for path in fmus:
         try:
-            with _ERRORS.status(str(path)) as status:
-                report = check(path, lambda rule: status.update(f"{path}: {rule}"))  # noqa: B023  # called here only
+            with _ERRORS.status(escape(str(path))) as status:
+                report = check(path, lambda rule: status.update(escape(f"{path}: {rule}")))  # noqa: B023  # called here only
         except NotAnFmu as error:
             _ERRORS.print(str(error), style="red", markup=False)
             refused = True

@@ -34,22 +34,24 @@ def check_dynamic(
                 report.findings.append(found)
         return outcome
 
-    report.checked += ["types-platform", "version", "instantiate", "memory"]  # which probes of other rules look after
-    if make(Case("load", "library", lifecycle.load)).findings:
+    if any(found.rule == "load" for found in make(Case("load", "library", lifecycle.load)).findings):
+        report.notes.append("the library does not load, so no further rule was applied")
         return
+    report.checked += ["types-platform", "version", "instantiate"]  # the same probe and the next have looked after them
     first = make(Case("legal-call", "a legal life", lifecycle.life))
     if first.value is None:
         report.notes.append("the FMU cannot be run, so no further rule was applied")
         return
     for case in _cases(subject, experiments):
         make(case)
+    report.checked.append("memory")  # the probes of `free` have looked after it
     second = make(Case("legal-call", "a legal life", lifecycle.life))
     if repr(second.value) != repr(first.value):
         report.notes.append("two runs in fresh processes differ, so results were not compared")
         return
     for case in _comparisons(subject, first.value):
         make(case)
-    if subject.description.says("canSerializeFMUstate"):
+    if subject.description.says("canGetAndSetFMUstate") and subject.description.says("canSerializeFMUstate"):
         saved = make(Case("state-serialize", "fmi2SerializeFMUstate", states.serialize))
         if saved.value is not None:
             make(Case("state-serialize", "fmi2DeSerializeFMUstate", states.resume, saved.value))

@@ -98,6 +98,11 @@ def _child(case: Case, subject: Subject, sender: Connection) -> None:
         os.dup2(silence, stream)
     try:
         fmu = Fmu(subject, lambda call: sender.send(("call", call)))
+    except OSError as error:
+        sender.send(("finding", finding("load", os.path.basename(subject.library), "a library that loads", str(error))))
+        sender.send(("value", None))
+        os._exit(0)
+    try:
         probe = case.probe(fmu, *case.arguments)
         value = None
         while True:
@@ -109,9 +114,6 @@ def _child(case: Case, subject: Subject, sender: Connection) -> None:
         sender.send(("value", value))
     except Broken as broken:
         sender.send(("finding", broken.finding))
-        sender.send(("value", None))
-    except OSError as error:
-        sender.send(("finding", finding("load", os.path.basename(subject.library), "a library that loads", str(error))))
         sender.send(("value", None))
     except Exception:  # a fault of the probe itself, for the parent to raise
         sender.send(("bug", traceback.format_exc()))
