@@ -14,6 +14,7 @@ from fmu_src.description import describe
 from fmu_src.errors import ExportError
 from fmu_src.native import compile_library
 from fmu_src.platforms import PLATFORMS, resolve
+from fmu_src.reference import reference_files
 from fmu_src.sources import fixed_sources, functions, tables
 from observers.component import Component
 
@@ -31,7 +32,8 @@ def export(
 
     Args:
         platforms: names of PLATFORMS, "host" for this machine's, "all" for each of them that the target knows.
-        driven_by: a plant; the documentation's plot then shows the two coupled, outputs to inputs of equal names.
+        driven_by: a plant; the documentation's plot and the reference experiment then have the two
+            coupled, outputs to inputs of equal names.
         target: "native" (C, no dependency) or "python" (PythonFMU, for functions that cannot be compiled).
 
     Raises:
@@ -42,6 +44,7 @@ def export(
         raise ExportError(f"target '{target}' is unknown; known: {', '.join(TARGETS)}")
     guid, contents = TARGETS[target](component, platforms)
     contents |= documentation.pages(component, guid, driven_by, target)
+    contents |= reference_files(component, driven_by)
     path = Path(directory) / f"{component.name}.fmu"
     write_zip(path, contents)
     return path

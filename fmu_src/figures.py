@@ -13,9 +13,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
-from fmu_src.errors import ExportError
+from fmu_src.experiment import default_experiment
 from observers.component import Component
-from observers.instance import Instance
 
 MOST_STEPS = 600
 MOST_PANELS = 8
@@ -30,52 +29,19 @@ class Panel:
     curves: dict[str, np.ndarray]
 
 
-def default_experiment(component: Component, driven_by: Component | None) -> tuple[np.ndarray, list[Panel]]:
+def panels(component: Component, driven_by: Component | None) -> tuple[np.ndarray, list[Panel]]:
     """Times (n) [s] and what is worth a look: each `estimate.*` with the plant's `x.*`, or else the continuous outputs.
-
-    Both run as Python instances from time 0, at most MOST_STEPS steps: get all outputs, set all inputs, step all.
 
     Raises:
         ExportError: a step of the default experiment fails.
     """
-    members = [component] if driven_by is None else [driven_by, component]
-    h = component.step_size
-    steps = max(1, min(MOST_STEPS, round(component.stop_time / h)))
-    instances = [Instance(member) for member in members]
-    inputs = [{port.name for port in member.inputs} for member in members]
-    history: list[dict[str, list[float]]] = [{port.name: [] for port in member.outputs} for member in members]
-    try:
-        for k in range(steps + 1):
-            values = [
-                dict(zip(record, instance.outputs(), strict=True))
-                for record, instance in zip(history, instances, strict=True)
-            ]
-            for record, now in zip(history, values, strict=True):
-                for name, value in now.items():
-                    record[name].append(value)
-            for names, instance in zip(inputs, instances, strict=True):
-                for other in values:
-                    for name in names & other.keys():
-                        instance.set(name, other[name])
-            if k < steps:
-                for instance in instances:
-                    instance.step(k * h, h)
-    except (ValueError, RuntimeError) as error:
-        raise ExportError(f"component '{component.name}': its default experiment fails: {error}") from error
-    # Six digits: more than the plot shows, fewer than differ between machines.
-    series = [
-        {name: np.array([float(f"{v:.6g}") for v in values]) for name, values in record.items()} for record in history
-    ]
-    return np.arange(steps + 1) * h, _panels(component, series)
-
-
-def _panels(component: Component, series: list[dict[str, np.ndarray]]) -> list[Panel]:
-    own, plant = series[-1], series[0]
+    recording = default_experiment(component, driven_by, MOST_STEPS)
+    own, plant = _six_digits(recording.outputs), _six_digits(recording.plant or {})
     units = {port.name: "" if port.unit == "1" else f" [{port.unit}]" for port in component.outputs}
     names = [name.removeprefix("estimate.") for name in own if name.startswith("estimate.")]
-    pairs = [name for name in names if len(series) > 1 and f"x.{name}" in plant]
+    pairs = [name for name in names if f"x.{name}" in plant]
     if pairs:
-        return [
+        return recording.times, [
             Panel(
                 f"{name}{units[f'estimate.{name}']}", {"plant": plant[f"x.{name}"], "estimate": own[f"estimate.{name}"]}
             )
@@ -86,19 +52,24 @@ def _panels(component: Component, series: list[dict[str, np.ndarray]]) -> list[P
         for port in component.outputs
         if port.kind == "Real" and port.variability == "continuous" and not port.local
     ]
-    return [Panel(f"{name}{units[name]}", {name: own[name]}) for name in shown[:MOST_PANELS]]
+    return recording.times, [Panel(f"{name}{units[name]}", {name: own[name]}) for name in shown[:MOST_PANELS]]
 
 
-def plot(times: np.ndarray, panels: list[Panel]) -> str:
+def _six_digits(series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """More digits than the plot shows, fewer than differ between machines."""
+    return {name: np.array([float(f"{v:.6g}") for v in values]) for name, values in series.items()}
+
+
+def plot(times: np.ndarray, rows: list[Panel]) -> str:
     """The panels one below the other, as an SVG element to stand in an HTML page."""
     with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(8, 0.6 + 1.6 * len(panels)), layout="constrained")
-        for axes, panel in zip(np.atleast_1d(figure.subplots(len(panels), sharex=True)), panels, strict=True):
+        figure = Figure(figsize=(8, 0.6 + 1.6 * len(rows)), layout="constrained")
+        for axes, panel in zip(np.atleast_1d(figure.subplots(len(rows), sharex=True)), rows, strict=True):
             for (legend, values), line in zip(panel.curves.items(), ("-", "--"), strict=False):
                 axes.plot(times, values, line, linewidth=1.2, label=legend)
             axes.set_ylabel(panel.label)
             axes.grid(alpha=0.3)
-            if panel is panels[0] and len(panel.curves) > 1:
+            if panel is rows[0] and len(panel.curves) > 1:
                 axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
         axes.set_xlabel("time [s]")
         buffer = io.StringIO()

@@ -1,0 +1,67 @@
+"""The command line of the compliance check: python -m fmu_src.compliance."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from fmu_src.compliance.check import check
+from fmu_src.compliance.finding import Report
+from fmu_src.compliance.junit import write_junit
+from fmu_src.compliance.package import NotAnFmu
+
+_OUTPUT = Console(soft_wrap=True, highlight=False)
+_ERRORS = Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+def main(
+    fmus: Annotated[list[Path], typer.Argument(help="FMUs of FMI 2.0.", metavar="FILE.fmu ...", show_default=False)],
+    junit: Annotated[Path | None, typer.Option(help="Also write the result to this file, as JUnit XML.")] = None,
+) -> None:
+    """Check FMUs against the FMI 2.0 standard: the file, and what its library does when it is driven.
+
+    One line for each finding. Exit code 0: none; 1: some; 2: a file could not be checked.
+    """
+    reports, refused = [], False
+    for path in fmus:
+        try:
+            with _ERRORS.status(escape(str(path))) as status:
+                report = check(path, lambda rule: status.update(escape(f"{path}: {rule}")))  # noqa: B023  # called here only
+        except NotAnFmu as error:
+            _ERRORS.print(str(error), style="red", markup=False)
+            refused = True
+            continue
+        reports.append(report)
+        _show(report)
+    if junit is not None:
+        try:
+            write_junit(reports, junit)
+        except OSError as error:
+            _fail(f"{junit}: cannot be written: {error.strerror or error}")
+    if refused:
+        sys.exit(2)
+    sys.exit(1 if any(report.findings for report in reports) else 0)
+
+
+def _show(report: Report) -> None:
+    for found in report.findings:
+        _OUTPUT.print(f"{report.fmu}: {found}", style="red", markup=False)
+    for note in report.notes:
+        _OUTPUT.print(f"{report.fmu}: note: {note}", style="yellow", markup=False)
+    count = len(report.findings)
+    verdict = "no finding" if count == 0 else "1 finding" if count == 1 else f"{count} findings"
+    _OUTPUT.print(f"{report.fmu}: {len(report.checked)} rules, {verdict}", style="bold", markup=False)
+
+
+def _fail(message: str) -> NoReturn:
+    _ERRORS.print(message, style="red", markup=False)
+    sys.exit(2)
+
+
+if __name__ == "__main__":
+    typer.run(main)
