@@ -196,7 +196,7 @@ def node0(problem: LeastSquares) -> ca.Function:
     u = ca.mtimes(ca.DM(np.kron(s.inputs_at(np.zeros(1)), np.eye(problem.nu))), u_all)
     xq = xs[s.split.states] if s.split.states else ca.SX(0, 1)
     at = [xq, rates.known(t, u, p), p, theta, _algebraic(problem, ca.SX, np.zeros(1), z)]
-    phi, regular = rates.value(*at)[0], rates.solved(*at)[1]
+    phi, regular = rates.value(*at)[0], _regularity(problem, xs, v, z, u_all, theta, p, t)
     residual = ca.mtimes(ca.DM(R0), xs) + ca.mtimes(ca.DM(RV), v) - s.length / 2 * ca.mtimes(ca.DM(s.split.E), phi)
     largest = ca.mmax(ca.fabs(residual / ca.DM(problem.scale[: problem.nx])))
     if count == 1:
@@ -212,6 +212,24 @@ def node0(problem: LeastSquares) -> ca.Function:
         a, b = one(starts[:, j], v, z, _inputs(problem, U, j), theta, p, time + j * s.length)
         worst, least = ca.fmax(worst, ca.if_else(active[j], a, 0)), ca.fmin(least, ca.if_else(active[j], b, np.inf))
     return ca.Function("node0", [V, Z, x0, theta, p, time, U, active], [worst, least])
+
+
+def _regularity(
+    problem: LeastSquares, xs: ca.SX, V: ca.SX, Z: ca.SX, U: ca.SX, theta: ca.SX, p: ca.SX, t: ca.SX
+) -> ca.SX:
+    """The smallest pivot of g_z at a segment's nodes 0..N; infinite without algebraic variables."""
+    s, rates, nq, nz, nu = problem.segment, problem.rates, problem.rates.n_states, problem.rates.n_algebraic, problem.nu
+    if nz == 0:
+        return ca.SX(np.inf)
+    times = s.node_times
+    xq = _at(problem, ca.SX, times, s.split.states)(xs, V, U)
+    u = ca.mtimes(ca.DM(np.kron(s.inputs_at(times), np.eye(nu))), U)
+    z = ca.vertcat(_algebraic(problem, ca.SX, times[:1], Z), Z)
+    found = []
+    for i, time in enumerate(times):
+        known = rates.known(t + float(time), u[i * nu : (i + 1) * nu], p)
+        found.append(rates.solved(xq[i * nq : (i + 1) * nq], known, p, theta, z[i * nz : (i + 1) * nz])[1])
+    return ca.mmin(ca.vertcat(*found))
 
 
 def _symbols(problem: LeastSquares, kind: Any) -> tuple[Any, Any, Any]:
