@@ -26,8 +26,8 @@ def plant(
 ) -> Component:
     """The component that behaves as `model` does.
 
-    States are outputs `x.<state>`, unknown parameters outputs `x.<name>` too (their true value now). Parameters: `start.<state>`,
-    `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
+    Unknown disturbances are inputs, behind the known ones. States are outputs `x.<state>`, unknown parameters outputs `x.<name>` too
+    (their true value now). Parameters: `start.<state>`, `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
     `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform),
     `sensor.noise_std`
     (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
@@ -38,9 +38,9 @@ def plant(
         stop_time, step_size: the default experiment [s].
 
     Raises:
-        ModelError: algebraic variables or unknown disturbances; a jump of a parameter that is not unknown.
+        ModelError: algebraic variables; a jump of a parameter that is not unknown.
     """
-    refuse(model, "plant", "algebraic", "unknown_disturbances")
+    refuse(model, "plant", "algebraic")
     jumps = dict(jumps or {})
     for name in jumps:
         if name not in {v.name for v in model.unknown_parameters}:
@@ -85,14 +85,16 @@ def plant(
     p = {port.name: ca.SX.sym(port.name) for port in parameters}
     p_all = ca.vertcat(*p.values())
     nx, ny = len(model.states), len(model.outputs)
-    x, u, t, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(model.inputs)), ca.SX.sym("t"), ca.SX.sym("h")
+    driven = (*model.inputs, *model.unknown_disturbances)
+    x, u, t, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(driven)), ca.SX.sym("t"), ca.SX.sym("h")
     noise_now, stream = ca.SX.sym("noise", ny), ca.SX.sym("stream", 2)
     z = ca.vertcat(x, noise_now, stream)
     eq = model.equations
+    inputs = ca.vertcat(eq.u, eq.w)
     known = ca.vertcat(*[p[f"model.{q.name}"] for q in model.parameters])
-    longest = stable_step(split(eq.ode, eq.x, eq.u).A, max_step)
-    rhs = ca.Function("rhs", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
-    measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.theta, eq.t], [eq.output])
+    longest = stable_step(split(eq.ode, eq.x, inputs).A, max_step)
+    rhs = ca.Function("rhs", [eq.x, inputs, eq.p, eq.theta, eq.t], [eq.ode])
+    measure = ca.Function("measure", [eq.x, inputs, eq.p, eq.theta, eq.t], [eq.output])
 
     def unknown(time: ca.SX) -> ca.SX:
         """The unknown parameters at `time`: piecewise constant, the new value for time > jump time."""
@@ -129,7 +131,7 @@ def plant(
         output=ca.Function(
             "output", [z, u, p_all, t], [ca.vertcat(measure(x, u, known, unknown(t), t) + noise_now, x, unknown(t))]
         ),
-        inputs=tuple(_port(w.name, w, "continuous") for w in model.inputs),
+        inputs=tuple(_port(w.name, w, "continuous") for w in driven),
         parameters=parameters,
         outputs=tuple(outputs),
         sample_time="sensor.sample_time",
