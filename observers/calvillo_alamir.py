@@ -37,6 +37,7 @@ from observers.identifiability import describe as describe_null
 from observers.identifiability import least_visible
 from observers.linearisation import refuse_unobservable
 from observers.model import Model
+from observers.numerics.columns import repeated
 from observers.numerics.iteration import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
@@ -239,7 +240,7 @@ def _jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits:
 
     times = v.t + c.sample_time * ca.DM(range(1 - N, 1)).T
     nominal = ca.repmat(ca.DM([o.nominal for o in model.outputs]), 1, N)
-    residual = (Y - measure.map(N)(X, at_samples, ca.repmat(c.model, 1, N), times)) / nominal
+    residual = (Y - measure.map(N)(X, at_samples, repeated(c.model, N), times)) / nominal
     cost = ca.sumsqr(active_nodes(active, ny) * V * residual)
 
     altered = ca.logic_and(s.samples > 0, ca.sumsqr(c.model - s.model) > 0) if len(model.parameters) else 0

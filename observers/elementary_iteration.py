@@ -12,6 +12,7 @@ import casadi as ca
 
 from observers.elementary import GRID, Elementary, scalar_problem
 from observers.model import Model
+from observers.numerics.columns import repeated
 from observers.numerics.defect import mean_rate
 from observers.numerics.hamilton_jacobi import hamilton_jacobi
 from observers.numerics.layout import Layout
@@ -47,12 +48,8 @@ def mean_rates(model: Model, v: Any) -> Any:
     """The mean of f over each interval along X, W; (n x N - 1)."""
     N = v.X.shape[1]
     times = v.t + v.s * ca.DM(range(1 - N, 1)).T
-
-    def every(column: Any) -> Any:
-        return ca.repmat(column, 1, N - 1)
-
     rate = mean_rate(model.equations).map(N - 1)
-    return rate(v.X[:, :-1], v.X[:, 1:], v.u0, v.u1, v.W, every(v.p), times[:-1], every(v.s))
+    return rate(v.X[:, :-1], v.X[:, 1:], v.u0, v.u1, v.W, repeated(v.p, N - 1), times[:-1], repeated(v.s, N - 1))
 
 
 def elementary_solution(model: Model, problem: Elementary, N: int, nodes: int) -> ca.Function:
@@ -72,7 +69,7 @@ def elementary_solution(model: Model, problem: Elementary, N: int, nodes: int) -
         [ca.densify(model.equations.output)],
     )
     # A rejected measurement: what the last iterate makes of it, which does not pull.
-    expected = measure.map(N)(v.X, v.u, ca.repmat(v.p, 1, N), times)
+    expected = measure.map(N)(v.X, v.u, repeated(v.p, N), times)
     seen = ca.if_else(v.V, v.Y, expected)
     target = ca.vertcat(*[seen[m, :] for m in problem.outputs], v.X, v.u, times)
     known = ca.vertcat(u_middle, times[:-1] + v.s / 2)

@@ -19,6 +19,7 @@ import numpy as np
 from observers.elementary_iteration import active_nodes, symbols
 from observers.model import Model
 from observers.numerics import linear
+from observers.numerics.columns import repeated
 from observers.numerics.runge_kutta import runge_kutta
 
 MU = 1e-10  # price of a disturbance of one nominal value on an interval, against one nominal value of an output at a sample
@@ -39,7 +40,7 @@ def least_visible(model: Model, N: int) -> ca.Function:
     v = symbols(model, N, 0)
     eq, n, k = model.equations, len(model.states), len(model.unknown_disturbances)
     times = v.t + v.s * ca.DM(range(1 - N, 1)).T
-    p = ca.repmat(v.p, 1, N)
+    p = repeated(v.p, N)
     C = _output_gradient(model).map(N)(v.X, v.u, p, times)
     C = C * ca.repmat(active_nodes(v.active, len(model.outputs)) * v.V, n, 1)
     middle = (v.X[:, :-1] + v.X[:, 1:]) / 2
@@ -129,19 +130,20 @@ def describe(model: Model, N: int, sample_time: float) -> str:
     if not np.all(np.isfinite(states.full())):
         return ""
     # Within its bounds every disturbance is free here: what the equations alone leave open.
-    ny, every = len(model.outputs), ca.repmat(u, 1, N)
-    inside = ca.repmat(ca.DM([_inside(v.min, v.max, v.start) for v in model.unknown_disturbances]), 1, N - 1)
-    arguments: list[Any] = [states, inside if k else ca.DM(0, N - 1), ca.DM.zeros(ny, N), ca.DM.ones(ny, N)]
+    ny, every = len(model.outputs), repeated(u, N)
+    inside = repeated(ca.DM([_inside(v.min, v.max, v.start) for v in model.unknown_disturbances]), N - 1)
+    arguments: list[Any] = [states, inside, ca.DM.zeros(ny, N), ca.DM.ones(ny, N)]
     arguments += [every[:, :-1], every[:, :-1], every, ca.DM.ones(1, N - 1), (N - 1) * sample_time, sample_time, p]
     visibility, direction = least_visible(model, N)(*arguments)
     if float(visibility) > VISIBLE:
         return ""
-    named = []
-    for variable, entry in zip((*model.states, *model.unknown_disturbances), direction.full().ravel(), strict=True):
-        if abs(entry) > NAMED * variable.nominal:
-            size = f"{abs(entry):.1g} " if f"{abs(entry):.1g}" != "1" else ""
-            named.append(f"{variable.name} {'+' if entry > 0 else '-'} {size}c")
-    return ", ".join(named)
+    variables = (*model.states, *model.unknown_disturbances)
+    parts = [(v.name, e) for v, e in zip(variables, direction.full().ravel(), strict=True) if abs(e) > NAMED * v.nominal]
+    first = parts[0][1]
+    sizes = [(name, entry / first, f"{abs(entry / first):.2g}") for name, entry in parts]
+    return ", ".join(
+        f"{name} {'+' if entry > 0 else '-'} {size + ' ' if size != '1' else ''}c" for name, entry, size in sizes
+    )
 
 
 def _inside(low: float, high: float, start: float) -> float:

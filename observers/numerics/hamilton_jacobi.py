@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from observers.numerics.columns import repeated
 from observers.numerics.layout import Layout
 from observers.numerics.scalar_problem import ScalarProblem
 
@@ -33,9 +34,9 @@ def hamilton_jacobi(problem: ScalarProblem, N: int) -> ca.Function:
     M = problem.nodes[2]
     # Before the first sample nothing is paid and nothing moves.
     weight = v.s / 2 * (ca.horzcat(0, v.active) + ca.horzcat(v.active, 0))
-    shared = ca.repmat(ca.vertcat(v.s, v.p, v.r), 1, N - 1)
+    shared = repeated(ca.vertcat(v.s, v.p, v.r), N - 1)
     data = ca.vertcat(v.nu, (v.ref[:-1] + v.ref[1:]) / 2, v.rate, v.known, v.active, shared)
-    nodes = ca.vertcat(weight, v.ref, v.target, ca.repmat(v.p, 1, N), ca.repmat(v.q, 1, N))
+    nodes = ca.vertcat(weight, v.ref, v.target, repeated(v.p, N), repeated(v.q, N))
     last = _penalty(problem)(nodes[:, -1])
     back = list(reversed(range(N - 1)))
     values = _backward(problem).mapaccum("values", N - 1)(last, data[:, back], nodes[:, back])
@@ -55,7 +56,7 @@ def _penalty(problem: ScalarProblem) -> ca.Function:
     sizes = [1, *(problem.penalty.numel_in(i) for i in range(1, 5))]
     M, node = problem.nodes[2], ca.MX.sym("node", sum(sizes))
     weight, *rest = ca.vertsplit(node, np.cumsum([0, *sizes]).tolist())
-    cost = problem.penalty.map(M)(_grid(problem), *[ca.repmat(column, 1, M) for column in rest])[0]
+    cost = problem.penalty.map(M)(_grid(problem), *[repeated(column, M) for column in rest])[0]
     return ca.Function("penalty", [node], [weight * cost.T])
 
 
