@@ -15,10 +15,12 @@ from observers.model import Model
 from observers.numerics.columns import repeated
 from observers.numerics.defect import mean_rate
 from observers.numerics.hamilton_jacobi import hamilton_jacobi
+from observers.numerics.iteration import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.scalar_gauss_newton import gauss_newton
 
 SMALLEST_CHANGE = 1e-300  # so that no ratio divides by zero
+BLOCK = 10  # calls in one function of a chain
 
 
 def symbols(model: Model, N: int, settings: int) -> SimpleNamespace:
@@ -160,15 +162,29 @@ def iterations(model: Model, problems: tuple[Elementary, ...], N: int, K: int, n
     once = iteration(model, problems, N, nodes)
     v = symbols(model, N, once.numel_in(once.n_in() - 1))
     go, epsilon = ca.MX.sym("go"), ca.MX.sym("epsilon")
-    fixed = list(vars(v).values())[2:]
+    fixed = [*list(vars(v).values())[2:], go, epsilon]
     now = [v.X, v.W, *(ca.MX.sym(name) for name in ("change", "contraction", "count"))]
-    X, W, change = once(v.X, v.W, *fixed)
+    X, W, change = once(v.X, v.W, *fixed[:-2])
     ratio = ca.if_else(now[4] > 0, change / ca.fmax(now[2], SMALLEST_CHANGE), 0)
     step = ca.Function("step", [*now, *fixed], [X, W, change, ratio, now[4] + 1])
     stay = ca.Function("stay", [*now, *fixed], now)
+    # NaN fails the comparison, which ends the iterations.
+    unfinished = ca.logic_and(go, now[2] > epsilon)
     maybe = ca.Function.if_else("maybe", step, stay)
-    value: list[Any] = [v.X, v.W, ca.MX(0), ca.MX(0), ca.MX(0)]
-    for done in range(K):
-        # NaN fails the comparison, which ends the loop.
-        value = maybe(ca.logic_and(go, value[2] > epsilon) if done else go, *value, *fixed)
-    return ca.Function("iterations", [go, v.X, v.W, *fixed, epsilon], value)
+    repeated_step = _chain(ca.Function("next", [*now, *fixed], maybe(unfinished, *now, *fixed)), K, len(now))
+    X, W, change, contraction, count = repeated_step(v.X, v.W, HUGE, 0, 0, *fixed)
+    return ca.Function(
+        "iterations", [go, v.X, v.W, *fixed[:-2], epsilon], [X, W, ca.if_else(go, change, 0), contraction, count]
+    )
+
+
+def _chain(function: ca.Function, times: int, n_state: int) -> ca.Function:
+    """`function`, whose first `n_state` arguments are its results too, `times` in a row; nested, so that the C code grows with log(times)."""
+    arguments = function.mx_in()
+    state, fixed = arguments[:n_state], arguments[n_state:]
+    blocks, rest = divmod(times, BLOCK) if times > BLOCK else (0, times)
+    if blocks:
+        state = _chain(_chain(function, BLOCK, n_state), blocks, n_state)(*state, *fixed)
+    for _ in range(rest):
+        state = function(*state, *fixed)
+    return ca.Function(f"{function.name()}_{times}", arguments, state)
