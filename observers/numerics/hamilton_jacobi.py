@@ -22,7 +22,7 @@ from observers.numerics.layout import Layout
 from observers.numerics.scalar_problem import ScalarProblem
 
 SPREAD = 6  # places on the grid, from end to end, for which the costate that would lead there is tried
-NEWTON = 5  # steps from the best of them
+NEWTON = 6  # steps from the best of them, halving the bracket where Newton's leads out of it
 TINY = 1e-100  # reach of a costate where nothing acts as a control
 SETTLED = 1e-6  # of the grid's range: the largest last Newton step of an xi+ that counts
 PASSES = 5  # Newton steps for xi+ and the controls of a costate, where the equation is not affine
@@ -140,24 +140,38 @@ def _minimise(problem: ScalarProblem, k: int) -> ca.Function:
     best: list[Any] = []
 
     def tried(costate: Any) -> Any:
-        """Keeps the costate if it is better than those before, where it is; returns (where it leads, how far a unit moves it)."""
+        """Keeps the costate if it is better than those before, where it is; returns (psi = costate + V' / .., where Newton's step leads)."""
         nonlocal best
         after, cost, delta, inverse, gain = step(xi, costate, data)
         value, slope, second = look(after)
-        total = cost + value
-        following = costate - (costate + slope / inverse) / (1 + ca.fmax(second, 0) * gain / inverse**2)
-        found = [total, after, delta, following]
+        psi = costate + slope / inverse
+        newton = costate - psi / (1 + ca.fmax(second, 0) * gain / inverse**2)
+        found = [cost + value, after, delta, costate, psi, newton, gain / inverse]
         if best:
-            better = total < best[0]
-            found = [ca.if_else(ca.repmat(better, new.shape[0], 1), new, old) for new, old in zip(found, best, strict=True)]
-        best = found
-        return after, gain / inverse
+            better = found[0] < best[0]
+            pairs = zip(found, best, strict=True)
+            best = [ca.if_else(ca.repmat(better, new.shape[0], 1), new, old) for new, old in pairs]
+        else:
+            best = found
+        return psi, newton
 
-    drift, reach = tried(ca.MX.zeros(1, k))
-    for goal in np.linspace(*problem.nodes[:2], SPREAD):
-        tried((float(goal) - drift) / ca.fmax(reach, TINY))
+    tried(ca.MX.zeros(1, k))
+    _, drift, *_, reach = best
+    goals = np.linspace(*problem.nodes[:2], SPREAD)
+    between = float(goals[1] - goals[0]) / ca.fmax(reach, TINY)
+    first = (problem.nodes[0] - drift) / ca.fmax(reach, TINY)
+    for place in range(SPREAD):
+        tried(first + place * between)
+    # The optimum lies beside the best of these, on the side to which psi points; beyond the first and the last there is no end.
+    costate, psi, proposed = best[3:6]
+    last = first + (SPREAD - 1.5) * between
+    low = ca.if_else(psi < 0, costate, ca.if_else(costate < first + between / 2, -ca.inf, costate - between))
+    high = ca.if_else(psi > 0, costate, ca.if_else(costate > last, ca.inf, costate + between))
     for _ in range(NEWTON):
-        tried(best[3])
+        inside = ca.logic_and(low < proposed, proposed < high)
+        costate = ca.if_else(inside, proposed, (low + high) / 2)
+        psi, proposed = tried(costate)
+        low, high = ca.if_else(psi < 0, costate, low), ca.if_else(psi > 0, costate, high)
     return ca.Function("minimise", [xi, data, V, S], best[:3])
 
 
