@@ -1,12 +1,13 @@
 """The observer of Calvillo-Corona & Alamir, "Towards the construction of a robust optimal observer": elementary problems, solved in turns.
 
-Over the window of the last N samples, states and unknown disturbances are sought that fit the measurements (3). Each state has an elementary
-problem (7), (8) of its own, whose controls are the other variables in its equation (elementary.py); an iteration solves them all,
-independently, and averages what they find for each variable (10) (elementary_iteration.py). At each sample instant the window moves on by
-one sample, and up to K iterations go on from the trajectories of the last one, until no state changes by more than epsilon.
+Over the window of the last N samples, states and unknown disturbances are sought that fit the measurements (3). Each state has an
+elementary problem (7), (8) of its own, whose controls are the other variables in its equation (elementary.py); an iteration solves them
+all, independently, and averages what they find for each variable (10) (elementary_iteration.py). At each sample instant the window moves
+on by one sample, and up to K iterations go on from the trajectories of the last one, until no state changes by more than epsilon.
 
 What deviates from the paper, and why:
-- Section 4.1 solves a Hamilton-Jacobi equation always. That is the general level (numerics/hamilton_jacobi.py). Where a problem is affine its
+- Section 4.1 solves a Hamilton-Jacobi equation always. That is the general level (numerics/hamilton_jacobi.py). Where a problem is affine
+its
   equation is a Riccati equation, solved exactly by one tridiagonal system, and where it is smooth by Gauss-Newton steps on the same
   (numerics/scalar_gauss_newton.py).
 - The paper claims convergence in 2 to 5 iterations. With its weights it is linear with a ratio of 2/3, (1 + w1) / 2 with
@@ -65,11 +66,13 @@ def calvillo_alamir(
     Args:
         sample_time: start value of the parameter `sample_time`, s [s].
         N: samples in the window, which is (N - 1) s long. K: most iterations a sample.
-        q, r, weights: start values of `tuning.q.<state>` (8), `tuning.r.<state>.<control>` (8) and `tuning.weight.<variable>.<state>` (10) that
+        q, r, weights: start values of `tuning.q.<state>` (8), `tuning.r.<state>.<control>` (8) and `tuning.weight.<variable>.<state>`
+        (10) that
             are not 1.
         levels: by state, "lq", "gauss_newton" or "grid" instead of the cheapest level that the equation allows.
         nodes: of the grid, between the state's bounds.
-        first_guess: equations that make the first trajectories, of the same variables as `model`. With them the observer waits for a full window, as
+        first_guess: equations that make the first trajectories, of the same variables as `model`. With them the observer waits for a full
+        window, as
             the paper does; without, the window grows from the first sample on.
         guess: start values of `guess.*` that differ from the model's.
         name: the component's name; `<model>_elementary` if absent.
@@ -86,9 +89,10 @@ def calvillo_alamir(
     problems = decompose(model, levels or {})
     refuse_unobservable(model, METHOD)
     if first_guess is not None and _variables(first_guess) != _variables(model):
-        raise ValueError(f"{METHOD}: first_guess '{first_guess.name}' and model '{model.name}' have different variables")
-    eq, n, k, ny, nu = (
-        model.equations,
+        raise ValueError(
+            f"{METHOD}: first_guess '{first_guess.name}' and model '{model.name}' have different variables"
+        )
+    n, k, ny, nu = (
         len(model.states),
         len(model.unknown_disturbances),
         len(model.outputs),
@@ -122,7 +126,13 @@ def calvillo_alamir(
     weighed = elementary_ports.tuning(model, problems, q or {}, r or {}, weights or {})
     guessed = elementary_ports.guesses(model, guess or {})
     settings = Layout(
-        guess=n, guess_w=k, model=len(model.parameters), tuning=len(weighed), epsilon=1, visibility_limit=1, sample_time=1
+        guess=n,
+        guess_w=k,
+        model=len(model.parameters),
+        tuning=len(weighed),
+        epsilon=1,
+        visibility_limit=1,
+        sample_time=1,
     )
     z, u, p, t, h = (
         ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",), ("h",))
@@ -224,7 +234,7 @@ def _jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits:
     means = moved_on(s.means, nu, s.input_integral / c.sample_time) if s.means.numel() else ca.MX(nu, N - 1)
     at_samples = moved_on(s.u, nu, v.u) if s.u.numel() else ca.MX(nu, N)
     u0, u1 = (means, means) if v.held else (at_samples[:, :-1], at_samples[:, 1:])
-    active = ca.DM(range(N - 1)).T >= N - 1 - s.samples
+    active = N - 1 - s.samples <= ca.DM(range(N - 1)).T
     window = [Y, V, u0, u1, at_samples, active, v.t, c.sample_time, c.model]
 
     full = s.samples >= N - 1
@@ -236,7 +246,9 @@ def _jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits:
     X, W = ca.if_else(accepted, X_new, X), ca.if_else(accepted, W_new, W)
     x = ca.if_else(accepted, X[:, N - 1], s.x)
     seen = least_visible(model, N)(X, W, *window)
-    visibility, null = (ca.if_else(accepted, found, old) for found, old in zip(seen, (s.visibility, s.null), strict=True))
+    visibility, null = (
+        ca.if_else(accepted, found, old) for found, old in zip(seen, (s.visibility, s.null), strict=True)
+    )
 
     times = v.t + c.sample_time * ca.DM(range(1 - N, 1)).T
     nominal = ca.repmat(ca.DM([o.nominal for o in model.outputs]), 1, N)

@@ -3,8 +3,8 @@
     xi' = F(xi, x^c, nu, tau)                                                            (7)
     min over xi(.), nu(.) of the integral of q (xi - xi_ref)^2 + r |nu - nu_ref|^2       (8)
 
-The problem of the state x_i has F = f_i; the other states and the disturbances on which f_i depends act as its controls nu, known inputs and
-time are x^c. Which they are follows from the sparsity of f alone. A state that outputs see follows the measurements, any other one
+The problem of the state x_i has F = f_i; the other states and the disturbances on which f_i depends act as its controls nu, known inputs
+and time are x^c. Which they are follows from the sparsity of f alone. A state that outputs see follows the measurements, any other one
 its last iterate.
 """
 
@@ -25,7 +25,21 @@ METHOD = "calvillo_alamir"
 PROXIMAL = 1e-9  # of q, towards the last iterate: where an output's slope vanishes, its state stays determined
 _KINKED = {
     getattr(ca, f"OP_{name}")
-    for name in ("FABS", "FMIN", "FMAX", "FLOOR", "CEIL", "SIGN", "COPYSIGN", "FMOD", "REMAINDER", "LT", "LE", "EQ", "NE")
+    for name in (
+        "FABS",
+        "FMIN",
+        "FMAX",
+        "FLOOR",
+        "CEIL",
+        "SIGN",
+        "COPYSIGN",
+        "FMOD",
+        "REMAINDER",
+        "LT",
+        "LE",
+        "EQ",
+        "NE",
+    )
 }
 
 
@@ -104,7 +118,9 @@ def _elementary(model: Model, i: int, wanted: str | None) -> Elementary:
     else:
         least, reason = LQ, "its equation is affine"
     if wanted is not None and LEVELS.index(wanted) < LEVELS.index(least):
-        raise ValueError(f"{METHOD}: level of '{state.name}' = '{wanted}' does not suffice: {least} is needed, as {reason}")
+        raise ValueError(
+            f"{METHOD}: level of '{state.name}' = '{wanted}' does not suffice: {least} is needed, as {reason}"
+        )
     level, reason = (least, reason) if wanted is None else (wanted, "as asked for")
     if level == GRID and not (math.isfinite(state.min) and math.isfinite(state.max)):
         raise ValueError(
@@ -150,8 +166,8 @@ def bounds(model: Model, problem: Elementary) -> tuple[list[float], list[float]]
 def scalar_problem(model: Model, problem: Elementary, nodes: int) -> ScalarProblem:
     """The problem's functions (7), (8), for the solvers.
 
-    `known` of an interval: inputs and time; `target` of a node: the measurements that see the state (or, where one was rejected, what the last
-    iterate makes of it), the state's last iterate x, inputs and time.
+    `known` of an interval: inputs and time; `target` of a node: the measurements that see the state (or, where one was rejected, what the
+    last iterate makes of it), the state's last iterate x, inputs and time.
     """
     eq, state = model.equations, model.states[problem.index]
     x, xi, ref, q = eq.x, ca.SX.sym("xi"), ca.SX.sym("ref"), ca.SX.sym("q")

@@ -1,4 +1,4 @@
-"""One iteration of the algorithm of Calvillo-Corona & Alamir, Figure 1: all elementary problems, independent of each other, then processing (10).
+"""The iterations of Calvillo-Corona & Alamir, Figure 1: all elementary problems, independent of each other, then processing (10).
 
 The window's trajectories are columns: states X (n x N) at the samples, disturbances W (k x N - 1) constant on the intervals between.
 """
@@ -55,7 +55,9 @@ def mean_rates(model: Model, v: Any) -> Any:
 
 
 def elementary_solution(model: Model, problem: Elementary, N: int, nodes: int) -> ca.Function:
-    """ep(X, W, Y, V, u0, u1, u, active, t, s, p, tuning(q, r (m)), rate) -> (xi (1 x N), nu (m x N - 1)): one elementary problem, solved."""
+    """ep(X, W, Y, V, u0, u1, u, active, t, s, p, tuning(q, r (m)), rate) -> (xi (1 x N), nu (m x N - 1)): one elementary
+    problem, solved.
+    """
     v, i = symbols(model, N, 1 + problem.n_controls), problem.index
     rate = ca.MX.sym("rate", 1, N - 1)
     scalar = scalar_problem(model, problem, nodes)
@@ -76,9 +78,7 @@ def elementary_solution(model: Model, problem: Elementary, N: int, nodes: int) -
     target = ca.vertcat(*[seen[m, :] for m in problem.outputs], v.X, v.u, times)
     known = ca.vertcat(u_middle, times[:-1] + v.s / 2)
     solve = (hamilton_jacobi if problem.level == GRID else gauss_newton)(scalar, N)
-    xi, delta = solve(
-        v.X[i, :], nu, rate, known, target, v.active, v.s, v.p, v.tuning[0], v.tuning[1:]
-    )
+    xi, delta = solve(v.X[i, :], nu, rate, known, target, v.active, v.s, v.p, v.tuning[0], v.tuning[1:])
     return ca.Function(f"elementary_{scalar.name}", [*vars(v).values(), rate], [xi, nu + delta])
 
 
@@ -171,7 +171,7 @@ def iterations(model: Model, problems: tuple[Elementary, ...], N: int, K: int, n
     # NaN fails the comparison, which ends the iterations.
     unfinished = ca.logic_and(go, now[2] > epsilon)
     maybe = ca.Function.if_else("maybe", step, stay)
-    repeated_step = _chain(ca.Function("next", [*now, *fixed], maybe(unfinished, *now, *fixed)), K, len(now))
+    repeated_step = _chain(ca.Function("next", [*now, *fixed], list(maybe(unfinished, *now, *fixed))), K, len(now))
     X, W, change, contraction, count = repeated_step(v.X, v.W, HUGE, 0, 0, *fixed)
     return ca.Function(
         "iterations", [go, v.X, v.W, *fixed[:-2], epsilon], [X, W, ca.if_else(go, change, 0), contraction, count]
@@ -179,12 +179,12 @@ def iterations(model: Model, problems: tuple[Elementary, ...], N: int, K: int, n
 
 
 def _chain(function: ca.Function, times: int, n_state: int) -> ca.Function:
-    """`function`, whose first `n_state` arguments are its results too, `times` in a row; nested, so that the C code grows with log(times)."""
+    """`function`, whose first `n_state` arguments are its results too, `times` in a row; nested: little C code however many."""
     arguments = function.mx_in()
     state, fixed = arguments[:n_state], arguments[n_state:]
     blocks, rest = divmod(times, BLOCK) if times > BLOCK else (0, times)
     if blocks:
-        state = _chain(_chain(function, BLOCK, n_state), blocks, n_state)(*state, *fixed)
+        state = list(_chain(_chain(function, BLOCK, n_state), blocks, n_state)(*state, *fixed))
     for _ in range(rest):
-        state = function(*state, *fixed)
+        state = list(function(*state, *fixed))
     return ca.Function(f"{function.name()}_{times}", arguments, state)

@@ -33,7 +33,9 @@ CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, st
 
 DIAGNOSTICS = (
     ports.status(STATUS),
-    Port("diagnostics.cost", "sum of squared output residuals over the window, in nominal values", variability="discrete"),
+    Port(
+        "diagnostics.cost", "sum of squared output residuals over the window, in nominal values", variability="discrete"
+    ),
     Port("diagnostics.iterations", "iterations at the last sample", kind="Integer", variability="discrete"),
     Port(
         "diagnostics.change",

@@ -4,8 +4,10 @@ With delta x+ = Phi delta x + Gamma w and delta y = C delta x along the window, 
 
     P_i = C' C + Phi' (P - P Gamma (Gamma' P Gamma + mu)^-1 Gamma' P) Phi,   w = -K delta x
 
-(the Riccati equation of cheap control, mu -> 0). delta x_0' P_0 delta x_0 is then the least change that the outputs can show of delta x_0; where its
-smallest eigenvalue vanishes, delta x_0 and the disturbances that hide it cannot be told from the outputs.
+(the Riccati equation of cheap control, mu -> 0). delta x_0' P_0 delta x_0 is then the least change that the outputs can show of delta
+x_0, and S delta x_0, S the product of Phi - Gamma K, what becomes of it at the window's end, which is the estimate. Where the smallest
+eigenvalue of P_0 z = lambda S' S z vanishes, that direction and the disturbances that hide it cannot be told from the outputs; one that
+dies out does not count.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ MU = 1e-10  # price of a disturbance of one nominal value on an interval, agains
 AT_BOUND = 1e-6  # of its nominal value: a disturbance as near to a bound is held there
 SWEEPS = 6  # of inverse iteration
 SHIFT = 1e-13  # of the trace, so that a singular P_0 can be factored
+TINY = 1e-300  # so that nothing divides by zero
 NAMED = 0.02  # of the largest: a variable with a smaller part in a direction is not named
 VISIBLE = 1e-3  # a visibility below: not determined
 
@@ -33,12 +36,12 @@ VISIBLE = 1e-3  # a visibility below: not determined
 def least_visible(model: Model, N: int) -> ca.Function:
     """f(X, W, Y, V, u0, u1, u, active, t, s, p) -> (visibility, direction (n + k)).
 
-    `visibility`: the rms change of the outputs over the window, in units of their nominal values, when the state at its start moves by one
+    `visibility`: the rms change of the outputs over the window, in units of their nominal values, when the state at its end moves by one
     unit of nominal values in the least visible direction. `direction`: that one at the window's end, states and disturbances in
     their units, its largest entry one nominal value. A disturbance at a bound is held there.
     """
     v = symbols(model, N, 0)
-    eq, n, k = model.equations, len(model.states), len(model.unknown_disturbances)
+    n, k = len(model.states), len(model.unknown_disturbances)
     times = v.t + v.s * ca.DM(range(1 - N, 1)).T
     p = repeated(v.p, N)
     C = _output_gradient(model).map(N)(v.X, v.u, p, times)
@@ -60,14 +63,14 @@ def least_visible(model: Model, N: int) -> ca.Function:
     order = list(reversed(range(N - 1)))
     last = ca.reshape(C[:, -1], len(model.outputs), n)
     Ps, Ks = back.mapaccum("riccati", N - 1)(ca.vec(ca.mtimes(last.T, last)), C[:, order], moves[:, order])
-    smallest, start = _smallest(n)(Ps[:, -1])
-    dx, gain = ca.SX.sym("dx", n), ca.SX.sym("K", k * n)
-    following = ca.mtimes(Phi - ca.mtimes(Gamma, ca.reshape(gain, k, n)) if k else Phi, dx)
-    # Growth over a long window must not overflow; only the direction counts.
-    ahead_by_one = ca.Function("ahead", [dx, move, gain], [following / ca.fmax(ca.norm_inf(following), 1)])
-    path = ca.horzcat(start, ahead_by_one.mapaccum("path", N - 1)(start, moves, Ks[:, order]))
-    w = -ca.mtimes(ca.reshape(Ks[:, 0], k, n), path[:, N - 2]) if k else ca.MX(0, 1)
-    direction = ca.vertcat(path[:, N - 1], w)
+    S, gain = ca.SX.sym("S", n * n), ca.SX.sym("K", k * n)
+    closed = Phi - ca.mtimes(Gamma, ca.reshape(gain, k, n)) if k else Phi
+    onward = ca.Function("onward", [S, move, gain], [ca.vec(ca.mtimes(closed, ca.reshape(S, n, n)))])
+    ends = onward.mapaccum("ends", N - 1)(ca.vec(ca.DM.eye(n)), moves, Ks[:, order])
+    smallest, z = _smallest(n)(Ps[:, -1], ends[:, -1])
+    end = ca.mtimes(ca.reshape(ends[:, -1], n, n), z)
+    before_end = ca.mtimes(ca.reshape(ends[:, N - 3], n, n), z)
+    direction = ca.vertcat(end, -ca.mtimes(ca.reshape(Ks[:, 0], k, n), before_end) if k else ca.MX(0, 1))
     largest = ca.if_else(ca.mmax(direction) >= -ca.mmin(direction), ca.mmax(direction), ca.mmin(direction))
     nominal = ca.DM([variable.nominal for variable in (*model.states, *model.unknown_disturbances)])
     samples = ca.fmax(ca.sum1(ca.sum2(active_nodes(v.active, len(model.outputs)) * v.V)), 1)
@@ -104,20 +107,23 @@ def _transition(model: Model) -> ca.Function:
 
 
 def _smallest(n: int) -> ca.Function:
-    """smallest(P (n n x 1)) -> (smallest eigenvalue, its unit eigenvector) of a symmetric positive semidefinite P, by inverse iteration."""
-    column = ca.SX.sym("P", n * n)
-    P = ca.reshape(column, n, n)
-    LU = linear.lu_factor(P + (SHIFT * ca.trace(P) + 1e-300) * ca.SX.eye(n))
+    """smallest(P, S (n n x 1)) -> (the smallest lambda of P z = lambda S' S z, its z with |S z| = 1), P semidefinite; by
+    inverse iteration.
+    """
+    columns = ca.SX.sym("P", n * n), ca.SX.sym("S", n * n)
+    P, S = (ca.reshape(column, n, n) for column in columns)
+    LU = linear.lu_factor(P + (SHIFT * ca.trace(P) + TINY) * ca.SX.eye(n))
     z = ca.SX([1 / (1 + i) for i in range(n)])
     for _ in range(SWEEPS):
-        z = linear.backward(LU, linear.forward(LU, z / ca.norm_inf(z)))
-    z = z / ca.norm_2(z)
-    return ca.Function("smallest", [column], [ca.mtimes([z.T, P, z]), z])
+        z = linear.backward(LU, linear.forward(LU, ca.mtimes([S.T, S, z])))
+        z = z / ca.fmax(ca.norm_inf(z), TINY)
+    z = z / ca.fmax(ca.norm_2(ca.mtimes(S, z)), TINY)
+    return ca.Function("smallest", list(columns), [ca.mtimes([z.T, P, z]), z])
 
 
 def describe(model: Model, N: int, sample_time: float) -> str:
-    """What a full window along the model's own motion from its start values does not determine, in words; "" where it does all, or diverges."""
-    eq, n, k = model.equations, len(model.states), len(model.unknown_disturbances)
+    """What a window along the model's motion from its start values does not determine; "" where it does all, or diverges."""
+    eq = model.equations
     rhs = ca.Function("rhs", [eq.x, eq.u, eq.w, eq.p, eq.t], [eq.ode])
     u, w, p, x = (
         ca.DM([v.start for v in group])
@@ -138,7 +144,9 @@ def describe(model: Model, N: int, sample_time: float) -> str:
     if float(visibility) > VISIBLE:
         return ""
     variables = (*model.states, *model.unknown_disturbances)
-    parts = [(v.name, e) for v, e in zip(variables, direction.full().ravel(), strict=True) if abs(e) > NAMED * v.nominal]
+    parts = [
+        (v.name, e) for v, e in zip(variables, direction.full().ravel(), strict=True) if abs(e) > NAMED * v.nominal
+    ]
     first = parts[0][1]
     sizes = [(name, entry / first, f"{abs(entry / first):.2g}") for name, entry in parts]
     return ", ".join(

@@ -27,9 +27,9 @@ def plant(
     """The component that behaves as `model` does.
 
     Unknown disturbances are inputs, behind the known ones. States are outputs `x.<state>`, unknown parameters outputs `x.<name>` too
-    (their true value now). Parameters: `start.<state>`, `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
-    `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform),
-    `sensor.noise_std`
+    (their true value now). Parameters: `start.<state>`, `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`)
+    `model.<name>_jump_time[i]` and `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor:
+    `sensor.noise_bound` (uniform), `sensor.noise_std`
     (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
 
     Args:

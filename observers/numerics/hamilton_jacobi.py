@@ -2,12 +2,12 @@
 
     V_n(xi) = w_n l(xi) + min over nu in V of ( s/2 sum_j r_j delta_j^2 + V_(n+1)(xi+) ),   V_(N-1) = w_(N-1) l
 
-backward over the window, then V_0 is minimised over the unknown initial state, then the minimising controls are followed forward. Between the
-grid's nodes V is a cubic Hermite interpolant with slopes of fourth order, exact for quadratics; beyond its ends a parabola.
+backward over the window, then V_0 is minimised over the unknown initial state, then the minimising controls are followed forward. Between
+the grid's nodes V is a cubic Hermite interpolant with slopes of fourth order, exact for quadratics; beyond its ends a parabola.
 
-The minimum over nu is one over a scalar however many controls there are: at it, nu_j = clip(nu_ref_j + b_j lambda / r_j) with a common costate
-lambda. Costates that would lead to places all over the grid are tried, the best is refined by Newton steps on lambda = -V' / (1 - s a / 2), and the
-best of all is taken, so that V need not be convex.
+The minimum over nu is one over a scalar however many controls there are: at it, nu_j = clip(nu_ref_j + b_j lambda / r_j) with a common
+costate lambda. Costates that would lead to places all over the grid are tried, the best is refined by Newton steps on lambda = -V' / (1 -
+s a / 2), and the best of all is taken, so that V need not be convex.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ PASSES = 5  # Newton steps for xi+ and the controls of a costate, where the equa
 def hamilton_jacobi(problem: ScalarProblem, N: int) -> ca.Function:
     """solve(ref, nu, rate, known, target, active, s, p, q, r) -> (xi (1 x N), delta (m x N-1)), as `gauss_newton`; O(N nodes)."""
     v = problem.arguments(ca.MX, N)
-    M = problem.nodes[2]
     # Before the first sample nothing is paid and nothing moves.
     weight = v.s / 2 * (ca.horzcat(0, v.active) + ca.horzcat(v.active, 0))
     shared = repeated(ca.vertcat(v.s, v.p, v.r), N - 1)
@@ -119,10 +118,12 @@ def _step(problem: ScalarProblem, k: int) -> ca.Function:
         cost = ca.if_else(ca.fabs(moved) < SETTLED * (problem.nodes[1] - problem.nodes[0]), cost, ca.inf)
     after = ca.if_else(d.active, after, xi)
     one = ca.Function(
-        "one", [xi, costate, data], [after, ca.if_else(d.active, cost, 0), ca.if_else(d.active, delta, 0), 1 - d.s / 2 * a, d.active * gain]
+        "one",
+        [xi, costate, data],
+        [after, ca.if_else(d.active, cost, 0), ca.if_else(d.active, delta, 0), 1 - d.s / 2 * a, d.active * gain],
     )
     xis, costates, shared = ca.MX.sym("xi", 1, k), ca.MX.sym("lambda", 1, k), ca.MX.sym("data", data.numel())
-    return ca.Function("step", [xis, costates, shared], one.map(k)(xis, costates, ca.repmat(shared, 1, k)))
+    return ca.Function("step", [xis, costates, shared], [*one.map(k)(xis, costates, repeated(shared, k))])
 
 
 def _layout(problem: ScalarProblem) -> Layout:
@@ -140,7 +141,7 @@ def _minimise(problem: ScalarProblem, k: int) -> ca.Function:
     best: list[Any] = []
 
     def tried(costate: Any) -> Any:
-        """Keeps the costate if it is better than those before, where it is; returns (psi = costate + V' / .., where Newton's step leads)."""
+        """Keeps the costate where it is better than those before; returns (psi = costate + V' / .., where Newton leads)."""
         nonlocal best
         after, cost, delta, inverse, gain = step(xi, costate, data)
         value, slope, second = look(after)
@@ -195,7 +196,7 @@ def _lowest(problem: ScalarProblem) -> ca.Function:
     low, high, M = problem.nodes
     V, width = ca.MX.sym("V", M), (high - low) / (M - 1)
     look = _interpolant(problem, V, _slopes(V))
-    first = ca.mmax(ca.if_else(V == ca.mmin(V), _grid(problem).T, low))
+    first = ca.mmax(ca.if_else(ca.mmin(V) == V, _grid(problem).T, low))
     xi = first
     for _ in range(NEWTON):
         _, slope, second = look(xi)

@@ -5,8 +5,8 @@
     xi_(i+1) = xi_i + s (rate_i + F((xi_i + xi_(i+1)) / 2, nu_i + delta_i) - F((ref_i + ref_(i+1)) / 2, nu_i)),
     lower_j <= nu_ij + delta_ij <= upper_j
 
-State xi on N nodes, s apart; controls constant on the N - 1 intervals, nu_i their references; w_n the trapezoidal rule's weights. `rate` is the
-mean of F along the references: where the solution equals them, the only discretisation error is that of `rate`.
+State xi on N nodes, s apart; controls constant on the N - 1 intervals, nu_i their references; w_n the trapezoidal rule's weights. `rate`
+is the mean of F along the references: where the solution equals them, the only discretisation error is that of `rate`.
 """
 
 from __future__ import annotations
