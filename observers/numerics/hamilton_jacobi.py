@@ -3,7 +3,8 @@
     V_n(xi) = w_n l(xi) + min over nu in V of ( s/2 sum_j r_j delta_j^2 + V_(n+1)(xi+) ),   V_(N-1) = w_(N-1) l
 
 backward over the window, then V_0 is minimised over the unknown initial state, then the minimising controls are followed forward. Between
-the grid's nodes V is a cubic Hermite interpolant with slopes of fourth order, exact for quadratics; beyond its ends a parabola.
+the grid's nodes V is a cubic Hermite interpolant with slopes of fourth order, exact for quadratics; beyond its ends the parabola through its first, middle and
+last value, as far as it rises.
 
 The minimum over nu is one over a scalar however many controls there are: at it, nu_j = clip(nu_ref_j + b_j lambda / r_j) with a common
 costate lambda. Costates that would lead to places all over the grid are tried, the best is refined by Newton steps on lambda = -V' / (1 -
@@ -24,8 +25,9 @@ from observers.numerics.scalar_problem import ScalarProblem
 SPREAD = 6  # places on the grid, from end to end, for which the costate that would lead there is tried
 NEWTON = 6  # steps from the best of them, halving the bracket where Newton's leads out of it
 TINY = 1e-100  # reach of a costate where nothing acts as a control
+SETTLING = 2  # more of them for xi+ alone
 SETTLED = 1e-6  # of the grid's range: the largest last Newton step of an xi+ that counts
-PASSES = 5  # Newton steps for xi+ and the controls of a costate, where the equation is not affine
+PASSES = 3  # Newton steps for xi+ and the controls of a costate, where the equation is not affine
 
 
 def hamilton_jacobi(problem: ScalarProblem, N: int) -> ca.Function:
@@ -72,24 +74,36 @@ def _interpolant(problem: ScalarProblem, V: Any, S: Any) -> Any:
     """look(xi) -> (V, V', V'') at xi (1 x k), from the grid's values and slopes (M x 1)."""
     low, high, M = problem.nodes
     width = (high - low) / (M - 1)
-    place, v0, v1, s0, s1 = (ca.SX.sym(name) for name in ("place", "v0", "v1", "s0", "s1"))
+    place, v0, v1, s0, s1, before, behind, bend = (
+        ca.SX.sym(name) for name in ("place", "v0", "v1", "s0", "s1", "before", "behind", "bend")
+    )
     inside = ca.fmin(ca.fmax(place, 0), 1)
     beyond = place - inside
     rise = v1 - v0
     c2, c3 = 3 * rise - 2 * s0 - s1, s0 + s1 - 2 * rise
-    slope = s0 + inside * (2 * c2 + 3 * inside * c3)
-    second = 2 * c2 + 6 * inside * c3
-    # Beyond the ends a parabola that does not bend down: exact for quadratics too, and without minima that are not there.
-    second = ca.if_else(beyond == 0, second, ca.fmax(second, 0))
-    value = v0 + inside * (s0 + inside * (c2 + inside * c3)) + beyond * (slope + beyond / 2 * second)
-    slope = slope + beyond * second
-    cell = ca.Function("cell", [place, v0, v1, s0, s1], [value, slope / width, second / width**2])
+    outward = ca.if_else(beyond > 0, behind, before)
+    value = v0 + inside * (s0 + inside * (c2 + inside * c3)) + beyond * (outward + beyond / 2 * bend)
+    slope = ca.if_else(beyond == 0, s0 + inside * (2 * c2 + 3 * inside * c3), outward + beyond * bend)
+    second = ca.if_else(beyond == 0, 2 * c2 + 6 * inside * c3, bend)
+    symbols = [place, v0, v1, s0, s1, before, behind, bend]
+    cell = ca.Function("cell", symbols, [value, slope / width, second / width**2])
+    # Differences over the whole grid, not over its last cells: an edge whose motion leads outwards is continued from itself at every
+    # step, and what the cells' differences make of rounding would grow without limit.
+    middle, last = (M - 1) // 2, M - 1
+    left, right = (V[middle] - V[0]) / middle, (V[last] - V[middle]) / (last - middle)
+    second_difference = (right - left) / last
+    ends = (
+        ca.fmin(left - second_difference * middle, 0),
+        ca.fmax(right + second_difference * (last - middle), 0),
+        ca.fmax(2 * second_difference, 0),
+    )
 
     def look(xi: Any) -> tuple[Any, Any, Any]:
         position = (xi - low) / width
         index = ca.fmin(ca.fmax(ca.floor(position), 0), M - 2)
         corners = [ca.reshape(column[index + k], xi.shape) for column in (V, S) for k in (0, 1)]
-        value, slope, second = cell.map(xi.shape[1])(position - index, *corners)
+        k = xi.shape[1]
+        value, slope, second = cell.map(k)(position - index, *corners, *(repeated(end, k) for end in ends))
         return value, slope, second
 
     return look
@@ -114,7 +128,12 @@ def _step(problem: ScalarProblem, k: int) -> ca.Function:
         after, delta = after - moved, chosen
         gain = d.s * ca.dot(free * b.T, b.T / d.r) if m else ca.SX(0)
     cost = d.s / 2 * ca.dot(d.r * delta, delta) if m else ca.SX(0)
-    if not problem.affine:  # a costate for which Newton's steps do not converge is none
+    if not problem.affine:
+        # Whatever the controls have become, xi+ is theirs: no value can be lower than what some controls reach.
+        for _ in range(SETTLING):
+            F, a, _ = problem.dynamics((xi + after) / 2, d.nu + delta, d.known, d.p)
+            moved = (after - xi - d.s * (d.rate + F - at_reference)) / (1 - d.s / 2 * a)
+            after = after - moved
         cost = ca.if_else(ca.fabs(moved) < SETTLED * (problem.nodes[1] - problem.nodes[0]), cost, ca.inf)
     after = ca.if_else(d.active, after, xi)
     one = ca.Function(
