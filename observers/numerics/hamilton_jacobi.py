@@ -3,8 +3,8 @@
     V_n(xi) = w_n l(xi) + min over nu in V of ( s/2 sum_j r_j delta_j^2 + V_(n+1)(xi+) ),   V_(N-1) = w_(N-1) l
 
 backward over the window, then V_0 is minimised over the unknown initial state, then the minimising controls are followed forward. Between
-the grid's nodes V is a cubic Hermite interpolant with slopes of fourth order, exact for quadratics; beyond its ends the parabola through its first, middle and
-last value, as far as it rises.
+the grid's nodes V is a cubic Hermite interpolant with slopes of fourth order, exact for quadratics; beyond its ends the parabola through
+its first, middle and last value, as far as it rises.
 
 The minimum over nu is one over a scalar however many controls there are: at it, nu_j = clip(nu_ref_j + b_j lambda / r_j) with a common
 costate lambda. Costates that would lead to places all over the grid are tried, the best is refined by Newton steps on lambda = -V' / (1 -
