@@ -88,7 +88,13 @@ def solved(problem: int, nodes: int, arguments: list[Any]) -> np.ndarray:
 
 def parallel(nodes: int) -> tuple[float, float]:
     """Seconds for all problems of an iteration, each on a grid: one after the other, and by Dask in two processes."""
-    data = [np.ones((CHAIN, N)), np.zeros((0, N - 1)), np.ones((1, N)), np.ones((1, N)), np.zeros((0, N - 1))]
+    data: list[Any] = [
+        np.ones((CHAIN, N)),
+        np.zeros((0, N - 1)),
+        np.ones((1, N)),
+        np.ones((1, N)),
+        np.zeros((0, N - 1)),
+    ]
     data += [np.zeros((0, N - 1)), np.zeros((0, N)), np.ones((1, N - 1)), 2.0, SAMPLE_TIME, []]
     arguments: list[Any] = [*data, [1.0, 1.0], np.zeros((1, N - 1))]
 
@@ -107,7 +113,14 @@ def parallel(nodes: int) -> tuple[float, float]:
 def main() -> None:
     """Print the time of a sample at each level, whether the promise is kept, and the gain of parallel problems against the grid's size."""
     out = Console()
-    options: dict[str, Any] = {"sample_time": SAMPLE_TIME, "N": N, "K": K, "guess": GUESS, **WEIGHTS_WITHOUT_V}
+    options: dict[str, Any] = {
+        "sample_time": SAMPLE_TIME,
+        "N": N,
+        "K": K,
+        "guess": GUESS,
+        "stop_time": 1.0,
+        **WEIGHTS_WITHOUT_V,
+    }
     linear = Model(
         name="oscillator",
         states=VAN_DER_POL_KNOWN.states,

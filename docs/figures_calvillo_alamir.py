@@ -25,6 +25,7 @@ from reference_models.van_der_pol import VAN_DER_POL, VAN_DER_POL_ERRONEOUS, VAN
 TUNING = [10, 1e-3, 1e-3, 5e-4, 10, 1, 1, 1, 1, 1]
 MOST = 400  # iterations
 NODES = 81
+GRIDS = (11, 21, 41, 81)
 
 
 @dataclass
@@ -153,6 +154,24 @@ def family(free: Batch, signed: Batch) -> None:
     save(figure, "calvillo_alamir_family")
 
 
+def grid_orders(found: Batch) -> None:
+    """EP2 of the first iteration on grids, against Gauss-Newton's solution of it."""
+    s, N = found.time[1], len(found.time)
+    u = np.vstack([np.sin(found.time), 0.1 * np.sin(found.time)])
+    data = [found.x[:1], np.ones((1, N)), u[:, :-1], u[:, :-1], u, np.ones((1, N - 1)), found.time[-1], s, []]
+    names = symbols(VAN_DER_POL, N, 0)
+    along = [names.X, names.W, names.u0, names.u1, names.p, names.t, names.s]
+    rates = ca.Function("rates", along, [mean_rates(VAN_DER_POL, names)])
+    rate = rates(found.X[0], found.W[0], u[:, :-1], u[:, :-1], [], found.time[-1], s)[1, :]
+    problem = decompose(VAN_DER_POL, {"x2": "grid"})[1]
+    gaps = []
+    for nodes in GRIDS:
+        xi, _ = elementary_solution(VAN_DER_POL, problem, N, nodes)(found.X[0], found.W[0], *data, [1e-3, 10], rate)
+        gaps.append(np.abs(xi.full()[0, :-1] - found.second[0][0]).max())
+    orders = np.log2(np.divide(gaps[:-1], gaps[1:]))
+    print(f"EP2 on {GRIDS} nodes: x2 differs by {np.array(gaps)}, orders {orders.round(1)}")
+
+
 def errors(result: Result, since: float) -> dict[str, float]:
     """rms of each state's error from `since` on."""
     names = [name.removeprefix("observer.estimate.") for name in result.names if "observer.estimate." in name]
@@ -181,6 +200,7 @@ if __name__ == "__main__":
         print(f"  after iteration {k}: x2 rms {rms:.3f}, change {free.changes[k - 1]:.3f}")
     for s in (0.02, 0.1):
         describe(f"batch, v free, s = {s:g}", batch(VAN_DER_POL, s, {}))
+    grid_orders(free)
     on_grid = batch(VAN_DER_POL, SAMPLE_TIME, {"x1": "grid", "x2": "grid"})
     print(f"all on the grid: x2 differs by {np.abs(on_grid.X[-1][1] - free.X[-1][1]).max():.1e}")
     signed = batch(VAN_DER_POL_SIGNED, SIGNED_SAMPLE_TIME, {})
