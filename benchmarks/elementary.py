@@ -28,7 +28,7 @@ from reference_models.plant import plant
 from reference_models.van_der_pol import VAN_DER_POL_KNOWN
 
 N, K = 41, 5
-SAMPLES, RUNS = 400, 9
+SAMPLES, RUNS = 200, 5
 MOST_NS = 50e3  # for LQ, promised
 CHAIN = 4  # states of the model whose problems are solved in parallel
 NODES = (11, 81, 641)

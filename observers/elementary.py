@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from observers.model import Model, Variable, refuse
+from observers.model import Model, ModelError, Variable, refuse
 from observers.numerics.scalar_problem import ScalarProblem
 
 LQ, GAUSS_NEWTON, GRID = "lq", "gauss_newton", "grid"
@@ -84,10 +84,11 @@ def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]
         levels: by the state's name, a level to be used instead; one more general than needed is always possible.
 
     Raises:
-        ModelError: algebraic variables or unknown parameters.
+        ModelError: algebraic variables or unknown parameters; a disturbance in an output, or in no state's equation.
         ValueError: an unknown name or level, a level that does not suffice, a grid without finite bounds of its state.
     """
     refuse(model, METHOD, "algebraic", "unknown_parameters")
+    _refuse_disturbances(model)
     names = [v.name for v in model.states]
     for name, level in levels.items():
         if name not in names:
@@ -95,6 +96,22 @@ def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]
         if level not in LEVELS:
             raise ValueError(f"{METHOD}: level of '{name}' = {level!r} must be one of {', '.join(LEVELS)}")
     return tuple(_elementary(model, i, levels.get(v.name)) for i, v in enumerate(model.states))
+
+
+def _refuse_disturbances(model: Model) -> None:
+    """Raise a ModelError that names a disturbance in an output, or in no state's equation."""
+    eq = model.equations
+    for k, disturbance in enumerate(model.unknown_disturbances):
+        for output, expression in zip(model.outputs, ca.vertsplit(eq.output), strict=True):
+            if ca.depends_on(expression, eq.w[k]):
+                raise ModelError(
+                    f"{METHOD}: model '{model.name}': the output '{output.name}' depends on the unknown disturbance "
+                    f"'{disturbance.name}', which this method does not treat"
+                )
+        if not ca.depends_on(eq.ode, eq.w[k]):
+            raise ModelError(
+                f"{METHOD}: model '{model.name}': the unknown disturbance '{disturbance.name}' acts on no state"
+            )
 
 
 def _elementary(model: Model, i: int, wanted: str | None) -> Elementary:
@@ -121,7 +138,7 @@ def _elementary(model: Model, i: int, wanted: str | None) -> Elementary:
         raise ValueError(
             f"{METHOD}: level of '{state.name}' = '{wanted}' does not suffice: {least} is needed, as {reason}"
         )
-    level, reason = (least, reason) if wanted is None else (wanted, "as asked for")
+    level, reason = (least, reason) if wanted is None else (wanted, "asked for")
     if level == GRID and not (math.isfinite(state.min) and math.isfinite(state.max)):
         raise ValueError(
             f"{METHOD}: the grid for '{state.name}' lacks a bound: min = {state.min:g}, max = {state.max:g} "

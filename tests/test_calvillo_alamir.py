@@ -18,7 +18,7 @@ from observers.identifiability import describe as describe_null
 from observers.identifiability import least_visible
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
-from reference_models.calvillo_alamir import FMUS, WEIGHTS_WITHOUT_V
+from reference_models.calvillo_alamir import FMUS, WEIGHTS, WEIGHTS_WITHOUT_V
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from reference_models.roessler import ROESSLER
@@ -92,6 +92,47 @@ def test_a_state_that_no_output_sees_is_refused() -> None:
     )
     with pytest.raises(ModelError, match="no output ever sees b"):
         calvillo_alamir(hidden, sample_time=0.1, N=11)
+
+
+@pytest.mark.parametrize(
+    ("rate", "output", "words"),
+    [
+        (lambda x, u, p, t: [-x.a + u.w], lambda x, u, p, t: [x.a + u.w], "output 'y' depends on .* 'w'"),
+        (lambda x, u, p, t: [-x.a], lambda x, u, p, t: [x.a], "disturbance 'w' acts on no state"),
+    ],
+)
+def test_a_disturbance_that_no_problem_can_find_is_refused(rate: Any, output: Any, words: str) -> None:
+    model = Model(
+        name="disturbed",
+        states=[Variable("a")],
+        unknown_disturbances=[Variable("w")],
+        outputs=[Variable("y")],
+        ode=rate,
+        output=output,
+    )
+    with pytest.raises(ModelError, match=words):
+        calvillo_alamir(model, sample_time=0.1, N=11)
+
+
+@pytest.mark.parametrize("level", [LQ, GRID])
+def test_a_problem_without_controls_is_one_for_its_initial_state_alone(level: str) -> None:
+    model = Model(
+        name="cascade",
+        states=[Variable("a", start=1.0, min=-3.0, max=3.0), Variable("b", start=1.0, min=-3.0, max=3.0)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [x.b - x.a, -0.5 * x.b],
+        output=lambda x, u, p, t: [x.a],
+    )
+    observer = Instance(
+        calvillo_alamir(model, sample_time=0.1, N=11, K=10, levels={"b": level}, r={"a": {"b": 1e-3}}), {"guess.b": 0.0}
+    )
+    true = Instance(plant(model))
+    for k in range(40):
+        observer.set("y", true.get("y"))
+        for one in (true, observer):
+            one.step(0.1 * k, 0.1)
+    for state in ("a", "b"):
+        assert abs(observer.get(f"estimate.{state}") - true.get(f"x.{state}")) <= 1e-4
 
 
 def window(model: Model, N: int, s: float, W: np.ndarray) -> list[Any]:
@@ -225,3 +266,20 @@ def test_with_noise_the_weights_decide_how_much_is_believed() -> None:
             gaps.append(observer.get("estimate.x2") - true.get("x.x2"))
         errors.append(np.sqrt(np.mean(np.square(gaps[50:]))))
     assert errors[1] < errors[0]
+
+
+def test_a_known_sign_is_enough_where_the_disturbance_rests_at_it() -> None:
+    """v >= 0 and no upper bound: with v = 0 the shift is resolved from above, in a window that grows."""
+    model = replace(VAN_DER_POL, unknown_disturbances=[Variable("v", min=0.0, nominal=0.5)])
+    options: dict[str, Any] = {"sample_time": 0.1, "N": 11, "nodes": 41, "guess": {"x2": 0.0}}
+    observer, true = Instance(calvillo_alamir(model, **options, **WEIGHTS)), Instance(plant(VAN_DER_POL))
+    for k in range(25):
+        for name, gain in (("u", 1.0), ("mu", 0.1)):
+            for one in (observer, true):
+                one.set(name, gain * np.sin(0.1 * k))
+        observer.set("y", true.get("y"))
+        for one in (true, observer):
+            one.step(0.1 * k, 0.1)
+        assert observer.get("estimate.v") >= 0.0
+    assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 0.01
+    assert observer.get("diagnostics.status") == CODE.converged
