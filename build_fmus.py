@@ -26,11 +26,19 @@ from cosim.ssp import write_ssp
 from cosim.system import Element, System
 from fmu_src import ExportError, export
 from observers.component import Component
-from reference_models import chen_yen_1999, closed_loop, gong_2007, james_baras_1987, nikoukhah_1995, silverbox
+from reference_models import (
+    calvillo_alamir,
+    chen_yen_1999,
+    closed_loop,
+    gong_2007,
+    james_baras_1987,
+    nikoukhah_1995,
+    silverbox,
+)
 from reference_models.recipe import Recipe, Source
 
 # The papers, the closed loops and the measured circuit, each with its FMUs and systems.
-PAPERS = (gong_2007, james_baras_1987, chen_yen_1999, nikoukhah_1995, closed_loop, silverbox)
+PAPERS = (gong_2007, james_baras_1987, chen_yen_1999, nikoukhah_1995, calvillo_alamir, closed_loop, silverbox)
 FMUS: dict[str, Source] = {name: made for paper in PAPERS for name, made in paper.FMUS.items()}
 SYSTEMS: dict[str, Recipe] = {name: recipe for paper in PAPERS for name, recipe in paper.SYSTEMS.items()}
 

@@ -117,7 +117,8 @@ def relay(component: Component, guid: str) -> dict[str, bytes]:
     """The C sources of the relay, which knows the FMU's name, GUID and inputs; by file name."""
     fixed = {entry.name: entry.read_bytes() for entry in (files("fmu_src") / "relay").iterdir()}
     headers = {name: (files("fmpy") / "c-code" / name).read_bytes() for name in FMI_HEADERS}
-    names = "".join(f"{json.dumps(port.name)}, " for port in component.inputs)
+    # Those that have derivatives: a null pointer stands for the others.
+    names = "".join(f"{json.dumps(port.name) if port.kind == 'Real' else 'NULL'}, " for port in component.inputs)
     named = f"#define MODEL {json.dumps(component.name)}\n#define GUID {json.dumps(guid)}\n#define INPUTS {names}\n"
     return {**fixed, **headers, "identity.h": named.encode()}
 

@@ -6,9 +6,12 @@ failure says which variable is no longer determined, when, and g_z's pivot: (its
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from observers.model import Model
+from observers.numerics.equations import Equations
 from observers.numerics.index_one import algebraic_solver
 from observers.numerics.runge_kutta import runge_kutta
 
@@ -25,7 +28,7 @@ def move(
     model: Model, x: ca.SX, z: ca.SX, failure: ca.SX, given: list[ca.SX], t: ca.SX, h: ca.SX
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """(x, z, failure) at t + h from those at t, `given` = [u, p, theta] held; the first failure is kept."""
-    eq = model.equations
+    eq = _driven(model)
     rhs = ca.Function("rhs", [eq.x, eq.z, eq.u, eq.p, eq.theta, eq.t], [eq.ode])
     if not model.algebraic:
         return runge_kutta(lambda state, time: rhs(state, z, *given, time), x, t, h), z, failure
@@ -44,8 +47,14 @@ def move(
     return moved, solved(moved, t + h), failure
 
 
+def _driven(model: Model) -> Equations:
+    """The equations with unknown disturbances behind the known inputs: here somebody knows them."""
+    eq = model.equations
+    return replace(eq, u=ca.vertcat(eq.u, eq.w))
+
+
 def _solver(model: Model, *, follow: bool) -> ca.Function:
-    return algebraic_solver(model.equations, [v.nominal for v in model.algebraic], follow=follow)
+    return algebraic_solver(_driven(model), [v.nominal for v in model.algebraic], follow=follow)
 
 
 def _failure(code: ca.SX, t: ca.SX, pivot: ca.SX) -> ca.SX:

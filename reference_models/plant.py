@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 
 from observers.component import Component, Failure, Port
-from observers.model import Model, Variable, refuse
+from observers.model import Model, Variable
 from observers.numerics import noise
 from observers.numerics.runge_kutta import stable_step
 from observers.numerics.semilinear import split
@@ -32,9 +32,9 @@ def plant(
 ) -> Component:
     """The component that behaves as `model` does.
 
-    States are outputs `x.<state>`, algebraic variables `z.<name>`, unknown parameters `x.<name>` (their true value now). Parameters:
-    `start.<state>`, `start.<algebraic variable>` (a guess: the solution near it is taken, and its branch followed until it ends),
-    `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
+    Unknown disturbances are inputs, behind the known ones. States are outputs `x.<state>`, algebraic variables `z.<name>`, unknown
+    parameters `x.<name>` (their true value now). Parameters: `start.<state>`, `start.<algebraic variable>` (a guess: the solution near it is
+    taken, and its branch followed until it ends), `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
     `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform),
     `sensor.noise_std` (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
 
@@ -44,9 +44,8 @@ def plant(
         stop_time, step_size: the default experiment [s].
 
     Raises:
-        ModelError: unknown disturbances; a jump of a parameter that is not unknown.
+        ModelError: a jump of a parameter that is not unknown.
     """
-    refuse(model, "plant", "unknown_disturbances")
     jumps = dict(jumps or {})
     for name in jumps:
         if name not in {v.name for v in model.unknown_parameters}:
@@ -95,14 +94,16 @@ def plant(
     p = {port.name: ca.SX.sym(port.name) for port in parameters}
     p_all = ca.vertcat(*p.values())
     nx, ny, nz = len(model.states), len(model.outputs), len(model.algebraic)
-    x, u, t, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(model.inputs)), ca.SX.sym("t"), ca.SX.sym("h")
+    driven = (*model.inputs, *model.unknown_disturbances)
+    x, u, t, h = ca.SX.sym("x", nx), ca.SX.sym("u", len(driven)), ca.SX.sym("t"), ca.SX.sym("h")
     noise_now, stream = ca.SX.sym("noise", ny), ca.SX.sym("stream", 2)
     algebraic, failure = ca.SX.sym("z", nz), ca.SX.sym("failure", 3 if nz else 0)
     z = ca.vertcat(x, algebraic, noise_now, stream, failure)
     eq = model.equations
+    inputs = ca.vertcat(eq.u, eq.w)
     known = ca.vertcat(*[p[f"model.{q.name}"] for q in model.parameters])
-    longest = stable_step(split(eq.ode, eq.x, eq.u).A, max_step)
-    measure = ca.Function("measure", [eq.x, eq.z, eq.u, eq.p, eq.theta, eq.t], [eq.output])
+    longest = stable_step(split(eq.ode, eq.x, inputs).A, max_step)
+    measure = ca.Function("measure", [eq.x, eq.z, inputs, eq.p, eq.theta, eq.t], [eq.output])
 
     def unknown(time: ca.SX) -> ca.SX:
         """The unknown parameters at `time`: piecewise constant, the new value for time > jump time."""
@@ -148,7 +149,7 @@ def plant(
             [z, u, p_all, t],
             [ca.vertcat(measure(x, z_now, u, known, unknown(t), t) + noise_now, x, z_now, unknown(t))],
         ),
-        inputs=tuple(_port(w.name, w, "continuous") for w in model.inputs),
+        inputs=tuple(_port(w.name, w, "continuous") for w in driven),
         parameters=parameters,
         outputs=tuple(outputs),
         sample_time="sensor.sample_time",

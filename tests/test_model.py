@@ -5,6 +5,7 @@ import math
 import casadi as ca
 import pytest
 
+from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
 from observers.ukf import ukf
@@ -91,9 +92,22 @@ def test_a_method_refuses_what_it_does_not_treat_by_name():
     disturbed = pendulum(unknown_disturbances=[Variable("wind")])
     with pytest.raises(ModelError, match=r"model 'pendulum' has algebraic \(z\)"):
         ukf(dae, sample_time=0.1)
-    for make in (plant, lambda model: pseudospectral(model, sample_time=0.1)):
-        with pytest.raises(ModelError, match=r"has unknown disturbances \(wind\)"):
-            make(disturbed)
+    with pytest.raises(ModelError, match=r"has unknown disturbances \(wind\)"):
+        pseudospectral(disturbed, sample_time=0.1)
+
+
+def test_unknown_disturbances_are_inputs_of_a_plant_behind_the_known_ones():
+    disturbed = pendulum(
+        inputs=[Variable("torque")],
+        unknown_disturbances=[Variable("wind", unit="1/s2")],
+        ode=lambda x, u, p, t: [x.rate, u.wind - u.torque],
+    )
+    true = Instance(plant(disturbed), {"start.angle": 0.0, "start.rate": 0.0})
+    assert [port.name for port in true.component.inputs] == ["torque", "wind"]
+    true.set("wind", 3.0)
+    true.set("torque", 1.0)
+    true.step(0.0, 0.5)
+    assert true.get("x.rate") == pytest.approx(1.0) and true.get("y") == pytest.approx(0.25)
 
 
 def test_an_unobservable_model_is_refused_naming_what_no_output_sees():

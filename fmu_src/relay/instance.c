@@ -202,8 +202,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     if (nvr > 0 && !(vr && order && value))
         return refuse(self, "fmi2SetRealInputDerivatives", "variables are announced, but a list is a null pointer");
     for (size_t i = 0; i < nvr && !*why; i++) {
-        if (vr[i] >= n_inputs) /* inputs have the first value references, and all are Real */
-            snprintf(why, sizeof why, "the value reference %u is no input's", vr[i]);
+        if (vr[i] >= n_inputs || !inputs[vr[i]]) /* inputs have the first value references; Booleans have no name here */
+            snprintf(why, sizeof why, "the value reference %u is no Real input's", vr[i]);
         else if (order[i] != 1)
             snprintf(why, sizeof why, "derivative of order %d of %.256s; only order 1 is supported", order[i],
                      inputs[vr[i]]);
