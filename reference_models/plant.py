@@ -33,10 +33,11 @@ def plant(
     """The component that behaves as `model` does.
 
     Unknown disturbances are inputs, behind the known ones. States are outputs `x.<state>`, algebraic variables `z.<name>`, unknown
-    parameters `x.<name>` (their true value now). Parameters: `start.<state>`, `start.<algebraic variable>` (a guess: the solution near it is
-    taken, and its branch followed until it ends), `model.<parameter>`; for each jump i of an unknown parameter (count in `jumps`) `model.<name>_jump_time[i]` and
-    `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time. Sensor: `sensor.noise_bound` (uniform),
-    `sensor.noise_std` (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k) carries the k-th draw.
+    parameters `x.<name>` (their true value now). Parameters: `start.<state>`, `start.<algebraic variable>` (a guess: the solution
+    near it is taken, and its branch followed until it ends), `model.<parameter>`; for each jump i of an unknown parameter (count
+    in `jumps`) `model.<name>_jump_time[i]` and `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time.
+    Sensor: `sensor.noise_bound` (uniform), `sensor.noise_std` (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k)
+    carries the k-th draw.
 
     Args:
         jumps: how many jumps of which unknown parameters.
