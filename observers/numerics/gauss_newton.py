@@ -74,8 +74,8 @@ def newton_step(solve: Solve) -> ca.Function:
 
     The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the samples' weighted sum of squares that the linearisation
-    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of the samples' scaled normal matrix over the largest, `slack` by how
-    much the rows had to be relaxed, in nominal units.
+    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of their scaled normal matrix over the largest, `slack` by
+    how much the rows had to be relaxed, in nominal units.
     """
     problem = solve.problem
     kind = ca.MX if solve.constraints.any else problem.kind
