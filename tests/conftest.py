@@ -29,6 +29,7 @@ from cosim.results import Result
 from fmu_src import export
 from observers.component import Component
 from observers.pseudospectral import pseudospectral
+from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.gong_2007 import rlc
 from reference_models.plant import plant
@@ -54,6 +55,7 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     "rotation_bounded": lambda: pseudospectral(
         moving_window.rotation(), sample_time=0.2, N=12, L=10, name="rotation_bounded"
     ),
+    "duffing_missing_ukf": lambda: ukf(DUFFING, sample_time=0.1, measurement_noise={"y": 1e-3}, name="duffing_ukf"),
     "linear_3_least_squares": lambda: linear_models.least_squares(3),
     **{f"linear_{n}_riccati": partial(linear_models.riccati, n) for n in range(1, linear_models.LARGEST + 1)},
 }
