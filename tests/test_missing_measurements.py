@@ -85,30 +85,33 @@ def test_half_of_the_samples_at_random_are_enough_where_there_is_no_noise(kind: 
     assert run.get("diagnostics.solver_failures") == 0
 
 
-def test_the_conditioning_falls_with_the_samples_that_are_missing_and_no_status_hides_it() -> None:
-    """A window of 9 with its last n samples missing one after the other."""
-    run = Instance(KINDS["pseudospectral"](), GUESS)
-    arrives = np.ones(60, bool)
-    arrives[30:38] = False  # one sample is left of the window at 38
-    rows, errors = over_gaps(run, arrives, flagged)
-    names = [port.name for port in run.component.outputs]
-    conditioning, status = (rows[:, names.index(f"diagnostics.{n}")] for n in ("conditioning", "status"))
+def over_a_gap_of_8(parameters=None):
+    """Conditioning and status over 60 samples, of which 30 to 37 are missing, and the conditioning without the gap."""
+    found = []
+    for gap in (True, False):
+        run = Instance(KINDS["pseudospectral"](), GUESS | (parameters or {}))
+        arrives = np.ones(60, bool)
+        arrives[30:38] = not gap
+        rows, _ = over_gaps(run, arrives, flagged)
+        names = [port.name for port in run.component.outputs]
+        found.append([rows[:, names.index(f"diagnostics.{n}")] for n in ("conditioning", "status")])
+    (conditioning, status), (usual, _) = found
+    return conditioning, status, usual
+
+
+def test_the_conditioning_falls_with_the_samples_that_are_missing_and_the_status_says_where_none_are_left() -> None:
+    conditioning, status, usual = over_a_gap_of_8()
     assert set(status[30:38]) == {CODE.sample_rejected}
     assert set(status[38:40]) == {CODE.propagated_guess}  # two samples for three unknowns
-    usual = np.median(conditioning[12:30])
-    assert conditioning[40] < usual / 50  # three samples
-    assert np.all(np.diff(conditioning[40:46]) > 0) and conditioning[47:].min() > usual / 20
-    assert errors[12:].max() < 1e-4 and set(status[46:]) == {CODE.converged}
+    assert conditioning[40] < usual[40] / 10  # three of nine
+    assert np.all(conditioning[40:46] < usual[40:46])
+    np.testing.assert_allclose(conditioning[46:], usual[46:], rtol=1e-3)  # whole again
+    assert set(status[40:]) == {CODE.converged}
 
 
 def test_a_window_with_too_little_in_it_is_said_not_to_determine_the_state_and_the_prediction_kept() -> None:
     """By a limit of conditioning between that of three samples and that of the whole window."""
-    run = Instance(KINDS["pseudospectral"](), GUESS | {"tuning.conditioning_limit": 1e-5})
-    arrives = np.ones(60, bool)
-    arrives[30:38] = False
-    rows, _ = over_gaps(run, arrives, flagged)
-    names = [port.name for port in run.component.outputs]
-    conditioning, status = (rows[:, names.index(f"diagnostics.{n}")] for n in ("conditioning", "status"))
+    conditioning, status, _ = over_a_gap_of_8({"tuning.conditioning_limit": 1e-5})
     for k in range(40, 60):
         expected = CODE.undetermined if conditioning[k] <= 1e-5 else CODE.converged
         assert status[k] == expected
@@ -137,7 +140,7 @@ def test_the_filters_standard_deviations_grow_over_a_gap() -> None:
     rows, _ = over_gaps(run, arrives, flagged)
     names = [port.name for port in run.component.outputs]
     theta = rows[:, names.index("diagnostics.std.theta")]
-    assert np.all(np.diff(theta[50:65]) > 0) and theta[64] > 2 * theta[49] > theta[79]
+    assert np.all(np.diff(theta[50:65]) > 0) and theta[64] > 1.5 * theta[49] > theta[79]
 
 
 def test_one_output_of_two_goes_on_alone() -> None:
@@ -175,13 +178,14 @@ def test_in_the_fmu_another_type_or_a_derivative_of_it_is_refused_by_name(slave:
         "fmi2GetReal": lambda: fmu.fmu.getReal([reference]),
         "fmi2SetReal": lambda: fmu.fmu.setReal([reference], [1.0]),
         "fmi2SetInteger": lambda: fmu.fmu.setInteger([reference], [1]),
-        "fmi2SetRealInputDerivatives": lambda: fmu.fmu.setRealInputDerivatives([reference], [1], [1.0]),
     }
     for call, one in refused.items():
         message = fmu.refuses(one)
         assert call in message and "measurement_valid.y" in message, message
+    message = fmu.refuses(lambda: fmu.fmu.setRealInputDerivatives([reference], [1], [1.0]))
+    assert f"fmi2SetRealInputDerivatives: the value reference {reference} is no Real input's" in message
     real = fmu.variables["y"].valueReference
-    assert "'y'" in fmu.refuses(lambda: fmu.fmu.setBoolean([real], [True])).replace(" y ", " 'y' ")
+    assert "is not of type Boolean but Real" in fmu.refuses(lambda: fmu.fmu.setBoolean([real], [True]))
     assert fmu.get("measurement_valid.y") == 1
 
 
