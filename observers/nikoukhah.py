@@ -19,6 +19,7 @@ What deviates from the paper, and why:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 

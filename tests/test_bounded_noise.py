@@ -167,7 +167,9 @@ def test_two_outputs_have_a_tube_each(segments: int, N: int) -> None:
     bounds = {"y1": 0.3, "y2": 0.6}
     costs = {}
     for given in (None, bounds):
-        observer = Instance(pseudospectral(TWO_OUTPUTS, sample_time=0.1, N=N, L=20, segments=segments, noise_bound=given))
+        observer = Instance(
+            pseudospectral(TWO_OUTPUTS, sample_time=0.1, N=N, L=20, segments=segments, noise_bound=given)
+        )
         p, rng, errors = Instance(plant(TWO_OUTPUTS)), np.random.default_rng(3), []
         for k in range(120):
             true = np.array([p.get("y1"), p.get("y2")])
