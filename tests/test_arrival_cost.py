@@ -11,7 +11,7 @@ from observers.instance import Instance
 from observers.model import ModelError
 from observers.pseudospectral import pseudospectral
 from observers.pseudospectral_ports import CODE
-from reference_models.duffing import DUFFING
+from reference_models.duffing import DUFFING, DUFFING_KNOWN
 from reference_models.plant import plant
 
 TS = 0.1
@@ -208,6 +208,41 @@ def test_a_gap_longer_than_the_window_is_bridged_with_the_filters_accuracy():
         expected = CODE.converged if valid[k].all() and k >= 5 else None
         assert expected in (None, run.get("diagnostics.status"))
         kalman.predict(u[k], u[k + 1])
+
+
+def test_the_cost_is_that_of_the_windows_samples_alone_in_units_of_their_noise():
+    L = 5
+    y, u, valid = record(30, 0.0)
+    run, model = Instance(observer(L, 12, 1)), sampled(TS)
+    for k in range(30):
+        told(run, y[k], u[k], valid[k], k)
+    x, total = np.array([run.get(f"filtered.x{i}") for i in (1, 2, 3)]), 0.0
+    for k in range(29, 28 - L, -1):
+        total += TS * np.sum(((model.C @ x + model.D * u[k] - y[k]) / [NOISE["y1"], NOISE["y2"]]) ** 2)
+        x = np.linalg.solve(model.F, x - model.G0 * u[k - 1])
+    assert run.get("diagnostics.cost") == pytest.approx(total, rel=1e-8)
+
+
+def test_it_goes_with_a_tube():
+    """A window of 10 samples under noise of 0.577 rms, bounded by 1; the plain window and either help alone."""
+    rms = {}
+    for arrival in (False, True):
+        for bound in (None, 1.0):
+            own = {"process_noise": {"x1": 0.01, "x2": 0.01}, "measurement_noise": {"y": 0.577}} if arrival else {}
+            component = pseudospectral(
+                DUFFING_KNOWN, sample_time=TS, N=15, L=10, noise_bound=bound, arrival_cost=arrival, **own
+            )
+            sensor = {"sensor.noise_bound": 1.0, "sensor.sample_time": TS, "sensor.seed": 4}
+            p, run, errors = Instance(plant(DUFFING_KNOWN), sensor), Instance(component), []
+            for k in range(150):
+                true = p.get("x.x1") + 0.5 * p.get("x.x2")
+                run.set("y", p.get("y"))
+                p.step(k * TS, TS)
+                run.step(k * TS, TS)
+                errors.append(run.get("filtered.x1") + 0.5 * run.get("filtered.x2") - true)
+            assert np.isfinite(errors).all()
+            rms[arrival, bound is not None] = np.sqrt(np.mean(np.square(errors[50:])))
+    assert rms[True, True] < 0.6 * rms[False, False] and rms[True, True] < 1.1 * min(rms.values()), rms
 
 
 @pytest.mark.parametrize("which", ["process_noise", "measurement_noise", "initial_std"])

@@ -99,7 +99,7 @@ def newton_step(solve: Solve) -> ca.Function:
         step, slack, ok = _constrained(solve, s, at, normal, g, reach)
         step = ca.if_else(ok, step, np.inf)
         length = 1 if solve.aim else length
-    if solve.arrival or solve.constraints.any:
+    if not solve.aim and (solve.arrival or solve.constraints.any):
         # The samples' alone, at the step that is taken.
         cost = ca.fmax(_square(len(problem.scale) + 1)(at.normal, ca.vertcat(1, step)), 0)
     full = ca.vertcat(1, length * step)
