@@ -45,7 +45,10 @@ class Method:
 
     @property
     def sees_inputs(self) -> bool:
-        return bool(ca.depends_on(self.equations.output, self.equations.u)) if self.model.inputs else False
+        """Whether an output depends on the inputs, itself or through the algebraic variables."""
+        eq = self.equations
+        through = ca.vertcat(eq.output, eq.algebraic) if ca.depends_on(eq.output, eq.z) else eq.output
+        return bool(self.model.inputs) and bool(ca.depends_on(through, eq.u))
 
 
 def state(method: Method) -> Layout:

@@ -77,7 +77,8 @@ TUNING = (
     ),
     Port(
         "tuning.residual_limit",
-        "rms output residual, in units of the outputs' nominal values, above which the status is inconsistent",
+        "rms output residual, in units of the outputs' nominal values (with an arrival cost: of tuning.measurement_noise), above which the "
+        "status is inconsistent",
         start=1e30,
         min=0.0,
         variability="tunable",
@@ -87,7 +88,8 @@ DIAGNOSTICS = (
     ports.status(STATUS),
     Port(
         "diagnostics.cost",
-        "integral over the window of the squared output residual, in units of the outputs' nominal values",
+        "integral over the window of the squared output residual, in units of the outputs' nominal values (with an arrival cost: of "
+        "tuning.measurement_noise)",
         "s",
         variability="discrete",
     ),

@@ -10,6 +10,7 @@ from typing import Any
 
 import fmpy
 import linear_models
+import moving_window
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import (
@@ -27,6 +28,8 @@ from cosim.master import run
 from cosim.results import Result
 from fmu_src import export
 from observers.component import Component
+from observers.pseudospectral import pseudospectral
+from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.gong_2007 import rlc
 from reference_models.plant import plant
@@ -38,6 +41,21 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     "draining_toy": draining_toy,
     "rlc": rlc,
     "duffing": lambda: plant(DUFFING, jumps={"theta": 2}),
+    "duffing_segments": lambda: pseudospectral(DUFFING, sample_time=0.1, N=7, L=8, segments=4, name="duffing_segments"),
+    "linear_arrival": lambda: pseudospectral(
+        moving_window.linear(),
+        sample_time=0.1,
+        N=10,
+        L=4,
+        segments=2,
+        arrival_cost=True,
+        measurement_noise={"y1": 0.3, "y2": 0.5},
+        name="linear_arrival",
+    ),
+    "rotation_bounded": lambda: pseudospectral(
+        moving_window.rotation(), sample_time=0.2, N=12, L=10, name="rotation_bounded"
+    ),
+    "duffing_missing_ukf": lambda: ukf(DUFFING, sample_time=0.1, measurement_noise={"y": 1e-3}, name="duffing_ukf"),
     "linear_3_least_squares": lambda: linear_models.least_squares(3),
     **{f"linear_{n}_riccati": partial(linear_models.riccati, n) for n in range(1, linear_models.LARGEST + 1)},
 }
@@ -106,12 +124,14 @@ class Slave:
         variable = self.variables[name]
         if variable.type == "Real":
             self.fmu.setReal([variable.valueReference], [value])
+        elif variable.type == "Boolean":
+            self.fmu.setBoolean([variable.valueReference], [bool(value)])
         else:
             self.fmu.setInteger([variable.valueReference], [int(value)])
 
     def get(self, name: str) -> float:
         variable = self.variables[name]
-        read = self.fmu.getReal if variable.type == "Real" else self.fmu.getInteger
+        read = {"Real": self.fmu.getReal, "Boolean": self.fmu.getBoolean}.get(variable.type, self.fmu.getInteger)
         return float(read([variable.valueReference])[0])
 
     def outputs(self) -> dict[str, float]:

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from moving_window import NONLINEAR, A, B, coupled, linear
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import least_squares
@@ -13,27 +14,6 @@ from observers.pseudospectral import pseudospectral
 from observers.pseudospectral_ports import CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
-
-A = np.array([[0.0, 1.0, 0.0], [-2.0, -0.3, 1.0], [0.0, 0.0, -0.5]])
-B = np.array([0.0, 1.0, 0.4])
-
-
-def linear(damping=None, **changes):
-    """x' = A x + B u, two outputs. With a `damping` parameter one entry of A is no constant, and its term stays in phi."""
-    arguments = dict(
-        name="linear",
-        states=[Variable(name) for name in ("x1", "x2", "x3")],
-        inputs=[Variable("u")],
-        parameters=[Variable("damping", start=damping)] if damping else [],
-        outputs=[Variable("y1"), Variable("y2")],
-        ode=lambda x, u, p, t: [
-            x.x2,
-            -2 * x.x1 - (p.damping if damping else 0.3) * x.x2 + x.x3 + u.u,
-            -0.5 * x.x3 + 0.4 * u.u,
-        ],
-        output=lambda x, u, p, t: [x.x1, x.x1 + 0.5 * x.x3 + 0.2 * u.u],
-    )
-    return Model(**{**arguments, **changes})
 
 
 def closed_form(y, u, first, L, Ts):
@@ -70,41 +50,6 @@ def test_on_a_linear_model_with_noise_the_estimate_is_the_least_squares_one(damp
             found = [run.get(f"filtered.x{i}") for i in (1, 2, 3)]
             np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max() + 1e-9)
             assert run.get("diagnostics.status") == CODE.converged
-
-
-NONLINEAR = Model(
-    name="nonlinear",
-    states=[Variable("x1", start=0.8), Variable("x2", start=-0.4), Variable("x3", start=0.5)],
-    inputs=[Variable("u")],
-    parameters=[Variable("a", start=1.1)],
-    unknown_parameters=[Variable("theta", start=0.7), Variable("bias", start=0.2)],
-    outputs=[Variable("y1"), Variable("y2")],
-    ode=lambda x, u, p, t: [
-        x.x2 + 0.1 * ca.sin(x.x3),
-        -p.a * ca.sin(x.x1) - p.theta * x.x2 + u.u * x.x3,
-        -x.x3 + ca.cos(0.7 * t) * x.x1 + 0.3 * u.u,
-    ],
-    output=lambda x, u, p, t: [x.x1**2 + x.x1 + 0.2 * ca.sin(t), x.x3 + p.bias + 0.1 * x.x2 * u.u],
-)
-
-
-def coupled(model, observer, samples, Ts, inputs=lambda t: 0.0, truth=None, guess=None):
-    """Errors |filtered - true| (samples x estimated) of a plant and an observer in Jacobi order."""
-    p, o = Instance(plant(model), truth or {}), Instance(observer, guess or {})
-    names = [v.name for v in (*model.states, *model.unknown_parameters)]
-    errors = []
-    for k in range(samples):
-        t = k * Ts
-        for v in model.inputs:
-            p.set(v.name, inputs(t))
-            o.set(v.name, inputs(t))
-        for v in model.outputs:
-            o.set(v.name, p.get(v.name))
-        true = np.array([p.get(f"x.{name}") for name in names])
-        p.step(t, Ts)
-        o.step(t, Ts)
-        errors.append(np.abs([o.get(f"filtered.{name}") for name in names] - true))
-    return np.array(errors), o
 
 
 @pytest.mark.parametrize("structure", [dict(N=10, L=8), dict(N=16, L=12)], ids=["one function", "tiles"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,10 +14,14 @@ from scipy.optimize import least_squares
 import reference_models
 from cosim.log import read_log
 from cosim.replay import replay
+from cosim.results import Result as Record
 from fmu_src import export
+from observers.component import Component
 from observers.numerics.runge_kutta import runge_kutta
-from reference_models.silverbox import FMUS, K1, K3, SAMPLE_TIME, SILVERBOX
-from reference_models.silverbox_evaluation import AHEAD, evaluate, predict
+from observers.pseudospectral import pseudospectral
+from observers.pseudospectral_ports import CODE
+from reference_models.silverbox import FMUS, GUESS, K1, K3, LEAST, MOST, OFF, SAMPLE_TIME, SILVERBOX
+from reference_models.silverbox_evaluation import AHEAD, Evaluation, evaluate, predict
 
 LOG = Path(reference_models.__file__).parent / "data" / "silverbox.csv.gz"
 
@@ -83,3 +88,73 @@ def test_the_filter_finds_the_stiffness_in_the_measurement_30_percent_off(
     found = evaluate(filtered, *measured)
     assert abs(found.k1_deviation) < 0.04 and abs(found.k3_deviation) < 0.09 and found.prediction_rms < 10.5e-3
     assert made.result["observer.diagnostics.solver_failures"][-1] == 0
+
+
+def replayed(component: Component, folder: Path, **options: Any) -> Record:
+    """The whole measurement, through the component's FMU."""
+    return replay(export(component, folder), LOG, sample_time=SAMPLE_TIME, **options).result
+
+
+def rated(result: Record, measured: tuple[np.ndarray, np.ndarray]) -> Evaluation:
+    filtered = np.column_stack([result[f"observer.filtered.{v}"][1:] for v in ("x1", "x2", "k1", "k3")])
+    assert np.isfinite(filtered).all()
+    k1, k3 = filtered[:, 2] / K1, filtered[:, 3] / K3
+    assert np.all((k1 >= LEAST) & (k1 <= MOST) & (k3 >= LEAST) & (k3 <= MOST))
+    assert k1[0] == pytest.approx(OFF, rel=0.02)
+    return evaluate(filtered, *measured)
+
+
+@pytest.mark.long
+def test_a_window_of_200_samples_finds_the_stiffness_in_the_measurement(
+    measured: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    result = replayed(FMUS["silverbox_pseudospectral"][0](), tmp_path)
+    found = rated(result, measured)
+    assert abs(found.k1_deviation) <= 0.005 and abs(found.k3_deviation) <= 0.05
+    assert found.prediction_rms <= 1.2e-3  # of a signal of 55 mV
+    assert result["observer.diagnostics.solver_failures"][-1] == 0
+    status = result["observer.diagnostics.status"][1:]
+    # Three samples do not suffice for four unknowns, and few more do not determine k3.
+    assert set(status[:3]) == {CODE.propagated_guess} and set(status[3:6]) == {CODE.undetermined}
+    assert CODE.undetermined not in status[20:]
+
+
+@pytest.mark.long
+def test_a_window_of_50_samples_does_so_with_an_arrival_cost(
+    measured: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    result = replayed(FMUS["silverbox_pseudospectral_short"][0](), tmp_path)
+    found = rated(result, measured)
+    assert abs(found.k1_deviation) <= 0.005 and abs(found.k3_deviation) <= 0.05
+    assert found.prediction_rms <= 1.5e-3
+    assert result["observer.diagnostics.solver_failures"][-1] == 0
+
+
+@pytest.mark.long
+def test_a_window_of_50_samples_alone_does_not_determine_k3_and_says_so(
+    measured: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    """By its conditioning: the less of it, the worse k3; and by its status, where that has a limit to go by."""
+    component = pseudospectral(
+        SILVERBOX, sample_time=SAMPLE_TIME, N=6, L=50, segments=25, guess=GUESS, name="silverbox_alone"
+    )
+    result = replayed(component, tmp_path)
+    found = rated(result, measured)
+    assert found.prediction_rms > 1.8e-3 and abs(found.k3_deviation) > 0.05
+    settled = np.arange(len(measured[0])) > 300
+    conditioning, status, k3 = (
+        result[f"observer.{name}"][1:] for name in ("diagnostics.conditioning", "diagnostics.status", "filtered.k3")
+    )
+    solved = settled & (status == CODE.converged)
+    error = np.abs(k3 / K3 - 1)
+    poor, fair, good = (
+        np.median(error[solved & (low <= conditioning) & (conditioning < high)])
+        for low, high in ((0, 1e-5), (1e-5, 1e-4), (1e-4, 1))
+    )
+    assert poor > 2 * fair > 4 * good, (poor, fair, good)
+
+    limited = replayed(component, tmp_path, overrides={"tuning.conditioning_limit": 1e-5})
+    status, k3 = limited["observer.diagnostics.status"][1:], limited["observer.filtered.k3"][1:]
+    assert 0.1 < np.mean(status == CODE.undetermined) < 0.5
+    trusted = settled & (status == CODE.converged)
+    assert np.quantile(np.abs(k3[trusted] / K3 - 1), 0.9) < 0.8 * np.quantile(error[solved], 0.9)

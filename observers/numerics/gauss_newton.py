@@ -73,9 +73,9 @@ def newton_step(solve: Solve) -> ca.Function:
     """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, slack).
 
     The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
-    `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the weighted sum of squares that the linearisation predicts
-    after the whole step, `conditioning` in [0, 1] the smallest pivot of the samples' scaled normal matrix over the largest, `slack` by how
-    much the rows had to be relaxed, in nominal units.
+    `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the samples' weighted sum of squares that the linearisation
+    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of their scaled normal matrix over the largest, `slack` by
+    how much the rows had to be relaxed, in nominal units.
     """
     problem = solve.problem
     kind = ca.MX if solve.constraints.any else problem.kind
@@ -99,6 +99,9 @@ def newton_step(solve: Solve) -> ca.Function:
         step, slack, ok = _constrained(solve, s, at, normal, g, reach)
         step = ca.if_else(ok, step, np.inf)
         length = 1 if solve.aim else length
+    if not solve.aim and (solve.arrival or solve.constraints.any):
+        # The samples' alone, at the step that is taken.
+        cost = ca.fmax(_square(len(problem.scale) + 1)(at.normal, ca.vertcat(1, step)), 0)
     full = ca.vertcat(1, length * step)
     dV = (
         ca.vertcat(*[tiles.product(block.shape[0], full.shape[0])(block, full) for block in at.sol])
@@ -118,6 +121,12 @@ def _prior(ns: int) -> ca.Function:
     right = ca.mtimes(P, s - mean)
     full = ca.vertcat(ca.horzcat(ca.dot(s - mean, right), right.T), ca.horzcat(right, P))
     return ca.Function("prior", [s, mean, information], [full])
+
+
+def _square(n: int) -> ca.Function:
+    """v' H v."""
+    H, v = ca.SX.sym("H", n, n), ca.SX.sym("v", n)
+    return ca.Function("square", [H, v], [ca.dot(v, ca.mtimes(H, v))])
 
 
 def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
