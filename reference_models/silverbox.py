@@ -57,7 +57,7 @@ FMUS: dict[str, Source] = {
     "silverbox": (silverbox, None),
     "silverbox_pseudospectral": (
         lambda: pseudospectral(
-            SILVERBOX, sample_time=SAMPLE_TIME, N=5, L=200, segments=100, guess=GUESS, stop_time=1.0
+            SILVERBOX, sample_time=SAMPLE_TIME, N=6, L=200, segments=100, guess=GUESS, stop_time=1.0
         ),
         silverbox,
     ),
