@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
-import linear_models
-import moving_window
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import (
@@ -20,9 +18,9 @@ from fmpy.fmi2 import (
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
 )
-from tools import imports, need
-from toys import draining_toy, feedthrough_toy, growing_toy, sampled_toy
 
+import linear_models
+import moving_window
 from build_fmus import build, choose
 from cosim.master import run
 from cosim.results import Result
@@ -33,6 +31,8 @@ from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.gong_2007 import rlc
 from reference_models.plant import plant
+from tools import imports, need
+from toys import draining_toy, feedthrough_toy, growing_toy, sampled_toy
 
 COMPONENTS: dict[str, Callable[[], Component]] = {
     "sampled_toy": sampled_toy,

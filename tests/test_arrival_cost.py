@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+
 from conftest import COMPONENTS, Slave
 from moving_window import NONLINEAR, linear, sampled
-
 from observers.instance import Instance
 from observers.model import ModelError
 from observers.pseudospectral import pseudospectral

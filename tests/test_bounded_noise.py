@@ -9,11 +9,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from moving_window import NONLINEAR
 
 from build_fmus import FMUS
 from cosim.master import run
 from cosim.results import Result
+from moving_window import NONLINEAR
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral

@@ -10,7 +10,6 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
-from toys import feedthrough_toy, growing_toy, sampled_toy
 
 from cosim.results import Result
 from observers.component import Component
@@ -22,6 +21,7 @@ from reference_models import gong_2007
 from reference_models.closed_loop import MOTOR_GAINS
 from reference_models.motor import MOTOR
 from reference_models.plant import plant
+from toys import feedthrough_toy, growing_toy, sampled_toy
 
 Example = Callable[..., Result]
 LEVEL = Variable("level", unit="m")

@@ -5,13 +5,13 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from toys import growing_toy, sampled_toy
 
 from observers.component import Component, Failure, Port
 from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from reference_models.sine import sine
+from toys import growing_toy, sampled_toy
 
 
 def counter(sample_time=0.1, **changes) -> Component:

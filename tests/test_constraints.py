@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import COMPONENTS, Slave
-from moving_window import rotation
 from numpy.polynomial.legendre import Legendre
 from scipy.optimize import minimize
 
+from conftest import COMPONENTS, Slave
+from moving_window import rotation
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral

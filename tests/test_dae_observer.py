@@ -10,17 +10,17 @@ import casadi as ca
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from moving_window import coupled, linear, sampled
-from test_dae_plant import STARTS
 
 from build_fmus import FMUS
 from cosim.master import run
+from moving_window import coupled, linear, sampled
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
 from observers.pseudospectral_ports import CODE
 from reference_models.plant import plant
 from reference_models.rlc import RLC
+from test_dae_plant import STARTS
 
 TS = 0.2
 TRUSTED = {CODE.growing_window, CODE.converged}

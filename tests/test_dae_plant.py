@@ -8,10 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import COMPONENTS, Slave
 from fmpy.fmi1 import FMICallException
 from scipy.integrate import solve_ivp
 
+from conftest import COMPONENTS, Slave
 from observers.instance import Instance
 
 Make = Callable[..., Slave]

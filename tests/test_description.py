@@ -11,16 +11,16 @@ from typing import Any
 
 import fmpy
 import pytest
-from conftest import COMPONENTS
 from fmpy.validation import validate_fmu
 from lxml import etree
-from toys import feedthrough_toy, sampled_toy
 
+from conftest import COMPONENTS
 from fmu_src import ExportError, export
 from fmu_src.description import VERSION, describe
 from fmu_src.sources import fixed_sources
 from fmu_src.units import parse
 from observers.component import Component, Port
+from toys import feedthrough_toy, sampled_toy
 
 Path_of = Callable[[str], Path]
 

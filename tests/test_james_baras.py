@@ -5,10 +5,10 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from linear_models import entries, kalman, linear
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from linear_models import entries, kalman, linear
 from observers.instance import Instance
 from observers.james_baras import CODE, james_baras
 from observers.model import Model, ModelError, Variable

@@ -5,9 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+
 from conftest import Slave
 from linear_models import LARGEST, SAMPLE_TIME, design, entries, kalman, outputs_of
-from scipy.linalg import expm
 
 
 def estimates(

@@ -13,7 +13,6 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
-from toys import sampled_toy
 
 import cosim.slave
 from cosim.errors import ExperimentError, SystemFileError
@@ -28,6 +27,7 @@ from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from reference_models.sine import sine
+from toys import sampled_toy
 
 Build = Callable[[str], Path]
 

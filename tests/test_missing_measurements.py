@@ -7,9 +7,9 @@ from collections.abc import Callable
 import fmpy
 import numpy as np
 import pytest
+
 from conftest import COMPONENTS, Slave
 from moving_window import linear
-
 from observers.instance import Instance
 from observers.pseudospectral import pseudospectral
 from observers.pseudospectral_ports import CODE

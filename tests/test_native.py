@@ -16,11 +16,11 @@ import fmpy
 import pytest
 from elftools.elf.elffile import ELFFile
 from lxml import etree
-from toys import feedthrough_toy, growing_toy, sampled_toy
 
 from fmu_src import PLATFORMS, ExportError, export, native
 from fmu_src.sources import FMI_HEADERS
 from observers.component import Component
+from toys import feedthrough_toy, growing_toy, sampled_toy
 
 ROOT = Path(__file__).parent.parent
 Path_of = Callable[[str], Path]

@@ -11,9 +11,9 @@ import fmpy
 import fmpy.validation
 import numpy as np
 import pytest
-from conftest import Slave
 from scipy.integrate import solve_ivp
 
+from conftest import Slave
 from cosim.master import run
 from cosim.system import Element, System
 from fmu_src import export

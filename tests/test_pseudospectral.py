@@ -3,11 +3,11 @@
 import casadi as ca
 import numpy as np
 import pytest
-from moving_window import NONLINEAR, A, B, coupled, linear
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
+from moving_window import NONLINEAR, A, B, coupled, linear
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral

@@ -13,14 +13,12 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
-from conftest import COMPONENTS, Slave
 from fmpy.validation import validate_fmu
 from lxml import etree
 from scipy.integrate import solve_ivp
-from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
-from test_shell import CASES, grid
 
 from build_fmus import SYSTEMS, build, choose
+from conftest import COMPONENTS, Slave
 from cosim import master
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.native import cache_folder, compile_library
@@ -29,6 +27,8 @@ from observers.instance import Instance
 from observers.model import Model, Variable
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
+from test_shell import CASES, grid
 
 # A PythonFMU's memory is Python's, as its model description says: the importer's callbacks serve nothing.
 del test_memory_that_is_refused_is_an_answer  # noqa: F821

@@ -15,13 +15,13 @@ import fmpy
 import numpy as np
 import pytest
 from lxml import etree
-from toys import feedthrough_toy
 
 from fmu_src.reference import FOLDER, TOLERANCE, reference_files
 from observers.component import Component
 from observers.pseudospectral import pseudospectral
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from toys import feedthrough_toy
 
 Path_of = Callable[[str], Path]
 NAMESPACE = "{http://fmi-standard.org/fmi-ls-manifest}"

@@ -10,7 +10,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from toys import sampled_toy
 from typer.testing import CliRunner, Result
 
 from cosim.__main__ import app
@@ -25,6 +24,7 @@ from fmu_src import export
 from observers.component import Component, Port
 from observers.pseudospectral import pseudospectral
 from reference_models.duffing import DUFFING
+from toys import sampled_toy
 
 Build = Callable[[str], Path]
 TOY = ("estimate.level", "filtered.level", "diagnostics.rejected_samples")

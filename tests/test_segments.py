@@ -5,11 +5,11 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import COMPONENTS, Slave
-from moving_window import NONLINEAR, coupled, linear, sampled
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from conftest import COMPONENTS, Slave
+from moving_window import NONLINEAR, coupled, linear, sampled
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.numerics import least_squares as problem

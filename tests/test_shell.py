@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import COMPONENTS, Slave
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE, fmi2LastSuccessfulTime, fmi2Terminated
 
+from conftest import COMPONENTS, Slave
 from observers.instance import Instance
 
 Make = Callable[..., Slave]

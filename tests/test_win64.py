@@ -13,14 +13,14 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from conftest import Slave
-from test_native import cosimulation_functions
-from tools import WINE, need
 
 from build_fmus import SYSTEMS, build, choose
+from conftest import Slave
 from cosim.master import run
 from cosim.results import Result
 from fmu_src import native
+from test_native import cosimulation_functions
+from tools import WINE, need
 
 pytestmark = pytest.mark.long  # zig compiles its C library for Windows once: a minute
 
