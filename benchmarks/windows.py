@@ -9,6 +9,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -108,14 +109,14 @@ def segmented(segments: int, order: int) -> Callable[[], Component]:
 
 CASES = (
     Case("Example 4, 5 x 13", catalogue("duffing_known_pseudospectral"), example_4),
-    Case("Example 4, tube and Problem 3, 5 x 13", catalogue("duffing_known_pseudospectral_tube"), example_4, 2e6),
+    Case("Example 4, tube, 5 x 13", catalogue("duffing_known_pseudospectral_tube"), example_4, 2e6),
     Case("Example 5, 5 x 13", catalogue("duffing_pseudospectral_5"), example_5),
     Case("Example 5, 1 x 50", segmented(1, 50), example_5),
-    Case("Example 5 without noise, 5 x 13", segmented(5, 13), clean),
-    Case("Example 5 without noise, 1 x 50", segmented(1, 50), clean),
-    Case("Example 6, 1 x 15, DAE", catalogue("rlc_pseudospectral"), example_6, 5e4),
+    Case("no noise, 5 x 13", segmented(5, 13), clean),
+    Case("no noise, 1 x 50", segmented(1, 50), clean),
+    Case("Example 6 (DAE), 1 x 15", catalogue("rlc_pseudospectral"), example_6, 5e4),
     Case("Silverbox, L = 200, 100 x 5", catalogue("silverbox_pseudospectral"), record),
-    Case("Silverbox, L = 50, 25 x 6, arrival cost", catalogue("silverbox_pseudospectral_short"), record),
+    Case("Silverbox, L = 50, arrival, 25 x 6", catalogue("silverbox_pseudospectral_short"), record),
 )
 
 
@@ -149,8 +150,9 @@ def prepare(case: Case, driver: Path, directory: Path) -> tuple[Unpacked, Experi
 
 def print_costs(out: Console, costs: dict[str, Cost]) -> None:
     """The table, then what was promised and found."""
-    columns = ("", "median", "min", "iterations", "failed", "component", "compiler")
-    table = Table(*columns, title="Pseudospectral observer, driven natively, time per sample")
+    table = Table(title="Pseudospectral observer, driven natively, time per sample", box=SIMPLE_HEAD, pad_edge=False)
+    for i, column in enumerate(("segments x N", "median", "min", "iter.", "failed", "component", "compiler")):
+        table.add_column(column, justify="right" if i else "left", no_wrap=True)
     for label, c in costs.items():
         median, least = (f"{ns / 1e3:.1f} us" for ns in (np.median(c.ns), np.min(c.ns)))
         failed = f"{c.failures} of {c.samples}"
