@@ -26,8 +26,8 @@ test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python build_fmus.py --only duffing_pseudospectral
 	$(BIN)/python -m benchmarks
-	$(BIN)/python -m benchmarks.linear_gain
 	$(BIN)/python -m benchmarks.windows
+	$(BIN)/python -m benchmarks.linear_gain
 
 setup: $(READY)
 
