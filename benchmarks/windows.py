@@ -155,7 +155,7 @@ def print_costs(out: Console, costs: dict[str, Cost]) -> None:
         pad_edge=False,
         collapse_padding=True,
     )
-    for i, column in enumerate(("segments x N", "median", "min", "iter.", "failed", "build", "compiler")):
+    for i, column in enumerate(("segments x N", "median", "min", "iter.", "fails", "build", "zig")):
         table.add_column(column, justify="right" if i else "left", no_wrap=True)
     for label, c in costs.items():
         median, least = (f"{ns / 1e3:.1f} us" for ns in (np.median(c.ns), np.min(c.ns)))
