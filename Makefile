@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-DEMO := gong_example_1 gong_example_1_spline gong_example_2 gong_example_3a gong_example_3b
+DEMO := gong_example_1 gong_example_1_spline gong_example_2 gong_example_3a gong_example_3b gong_example_6
 
 # In CI the tests that take longer run too, and those that need other tools, which CI installs: no test skips there.
 MARKED := $(if $(CI),,-m "not long")
@@ -13,7 +13,7 @@ AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
 .PHONY: demo test bench setup ci-tools clean
 
-demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3, write results/demo/report.html
+demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3 and 6, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
 	$(BIN)/python demo.py
 
@@ -26,6 +26,7 @@ test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python build_fmus.py --only duffing_pseudospectral
 	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.windows
 	$(BIN)/python -m benchmarks.linear_gain
 	$(BIN)/python -m benchmarks.elementary
 

@@ -12,13 +12,14 @@ import numpy as np
 
 from cosim.master import run
 from cosim.results import Result
-from demo import ESTIMATED, errors
+from demo import errors
 from observers.instance import Instance
 from observers.pseudospectral import pseudospectral
 from observers.pseudospectral_ports import STATUS
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 
+ESTIMATED = ("x1", "x2", "theta")
 IMAGES = Path(__file__).parent / "images"
 BLUE, ORANGE, GREEN, GREY = "#0072b2", "#d55e00", "#009e73", "#555555"
 LABELS = {"x1": "$x_1$ [m]", "x2": "$x_2$ [m/s]", "theta": r"$\theta$ [m/s$^2$]"}
