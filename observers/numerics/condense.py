@@ -12,16 +12,14 @@ and the sum over the segments of [r + M_0, M_s]' W [r + M_0, M_s] holds normal m
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from observers.numerics import tiles
+from observers.numerics import groups, tiles
 from observers.numerics.exact import product
 from observers.numerics.least_squares import LeastSquares
-from observers.numerics.pointwise import Pointwise
 
 
 @dataclass(frozen=True)
@@ -151,7 +149,7 @@ def _segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     normal, start = kind(ca.DM.zeros(n, n)), 0
     rows = _measured(problem, j, kind, xs, RG, V, Z, theta, known, p, y, sol)
     for r, M in rows:
-        normal = normal + _normal(M.shape[0], n)(r, M, w[start : start + M.shape[0]])
+        normal = normal + groups.normal(M.shape[0], n)(r, M, w[start : start + M.shape[0]])
         start += M.shape[0]
     if problem.count > 1:
         Ph, Ps = s.at(np.array([s.length]))
@@ -193,9 +191,9 @@ def _condense(
     if rates.n == 0:
         return [], Z
     PhQ, PsQ = s.at(s.node_times[1:], s.split.states)
-    groups = [s.order] if kind is ca.SX else tiles.sizes(s.order, max(1, tiles.TILE // rates.n))
+    sizes = [s.order] if kind is ca.SX else tiles.sizes(s.order, max(1, tiles.TILE // rates.n))
     nq, nv, ne, nz = rates.n_states, rates.n, rates.n_known, rates.n_algebraic
-    collocated = {size: _collocated(rates, size, RG.shape[1]) for size in set(groups)}
+    collocated = {size: groups.collocated(rates, size, RG.shape[1]) for size in set(sizes)}
     A: list[list[Any]] = []
     b: list[Any] = []
     z_new: list[Any] = []
@@ -204,16 +202,16 @@ def _condense(
     def rows(vector: Any, size: int, each: int) -> Any:
         return vector[first * each : (first + size) * each]
 
-    for size in groups:
+    for size in sizes:
         q = slice(first * nq, (first + size) * nq)
         xq = _affine(kind, PhQ[q], xs, PsQ[q], V, rows(known.forced, size, nq))
         moved = ca.mtimes(kind(ca.DM(PhQ[q])), RG)
         arguments = [xq, rows(known.known, size, ne), p, theta, rows(Z, size, nz), rows(V, size, nv), moved]
         slope, right, z = collocated[size](*arguments)
         row, column = [], 0
-        for other in groups:
+        for other in sizes:
             c = slice(column * nv, (column + other) * nv)
-            row.append(_tile(nv, nq, size, other, first == column)(slope, kind(ca.DM(PsQ[q, c]))))
+            row.append(groups.tile(nv, nq, size, other, first == column)(slope, kind(ca.DM(PsQ[q, c]))))
             column += other
         A.append(row)
         b.append(right)
@@ -245,10 +243,10 @@ def _measured(
     PhH, PsH = s.at(points, problem.output.states)
     nh, ne, nz = rest.n_states, rest.n_known, rest.n_algebraic
     z = ca.mtimes(kind(ca.DM(np.kron(s.from_nodes(points), np.eye(nz)))), Z) if nz else kind(0, 1)
-    groups = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
-    observed = {size: _observed(rest, size) for size in set(groups)} if rest.n else {}
+    sizes = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
+    observed = {size: groups.observed(rest, size) for size in set(sizes)} if rest.n else {}
     out, first = [], 0
-    for size in groups:
+    for size in sizes:
         rows, h = slice(first * ny, (first + size) * ny), slice(first * nh, (first + size) * nh)
         r = _affine(kind, CPh[rows], xs, CPs[rows], V, known.offset[rows]) - y[rows]
         M = _sensitivity(kind, CPh[rows], CPs[rows], RG, sol) if sol is not None else None
@@ -260,7 +258,7 @@ def _measured(
             r = r + ca.mtimes(embed, value)
             if M is not None:
                 moved = _sensitivity(kind, PhH[h], PsH[h], RG, sol or [])
-                M = M + ca.mtimes(embed, _chain(rest.n, nh, size, moved.shape[1])(slope, moved))
+                M = M + ca.mtimes(embed, groups.chain(rest.n, nh, size, moved.shape[1])(slope, moved))
                 if problem.n_theta:
                     M = M + ca.horzcat(kind(ca.DM.zeros(size * ny, 1 + problem.nx)), ca.mtimes(embed, by_theta))
         out.append((r, M))
@@ -283,78 +281,3 @@ def _sensitivity(kind: Any, Ph: np.ndarray, Ps: np.ndarray, RG: Any, sol: list[A
         )
         column += n
     return total
-
-
-# The group functions.
-
-
-@cache
-def _tile(nv: int, nq: int, size: int, other: int, diagonal: bool) -> ca.Function:
-    """-blk(phi_x) PsQ, plus the identity on the diagonal; phi_x stacked (size nv x nq)."""
-
-    def body(slope: ca.SX, PsQ: ca.SX) -> ca.SX:
-        rows = [-ca.mtimes(slope[j * nv : (j + 1) * nv, :], PsQ[j * nq : (j + 1) * nq, :]) for j in range(size)]
-        return ca.vertcat(*rows) + (ca.SX(ca.DM.eye(size * nv)) if diagonal else 0)
-
-    name = f"tile_{nv}_{nq}_{size}_{other}{'_d' if diagonal else ''}"
-    return tiles.function(name, (size * nv, nq), (size * nq, other * nv))(body)
-
-
-def _collocated(rates: Pointwise, size: int, n: int) -> ca.Function:
-    """phi_x stacked (size nv x nq), the right-hand side [phi - V, 0, phi_theta] + phi_x PhQ RG of `size` nodes, and z there."""
-    nq, ne, nv, nz = rates.n_states, rates.n_known, rates.n, rates.n_algebraic
-    n_p, n_theta = rates.value.numel_in(2), rates.value.numel_in(3)
-
-    def body(xq: ca.SX, e: ca.SX, p: ca.SX, theta: ca.SX, z: ca.SX, V: ca.SX, moved: ca.SX) -> tuple[ca.SX, ...]:
-        slopes, right, algebraic = [], [], []
-        for j in range(size):
-            q = slice(j * nq, (j + 1) * nq)
-            at = [xq[q], e[j * ne : (j + 1) * ne], p, theta, z[j * nz : (j + 1) * nz]]
-            value, slope, by_theta = rates.value(*at)
-            slopes.append(slope)
-            own = ca.horzcat(value - V[j * nv : (j + 1) * nv], ca.SX(nv, n - 1 - n_theta), by_theta)
-            right.append(own + ca.mtimes(slope, moved[q, :]))
-            algebraic.append(rates.solved(*at)[0])
-        return ca.vertcat(*slopes), ca.vertcat(*right), ca.vertcat(*algebraic)
-
-    shapes = [(size * nq, 1), (size * ne, 1), (n_p, 1), (n_theta, 1), (size * nz, 1), (size * nv, 1), (size * nq, n)]
-    return tiles.function(f"collocated_{size}", *shapes)(body)
-
-
-def _observed(rest: Pointwise, size: int) -> ca.Function:
-    """h_n, its derivatives by the states (stacked size n x nh) and by theta, at `size` points."""
-    nh, ne, nz = rest.n_states, rest.n_known, rest.n_algebraic
-    n_p, n_theta = rest.value.numel_in(2), rest.value.numel_in(3)
-
-    def body(xh: ca.SX, e: ca.SX, p: ca.SX, theta: ca.SX, z: ca.SX) -> tuple[ca.SX, ...]:
-        found = [
-            rest.value(xh[i * nh : (i + 1) * nh], e[i * ne : (i + 1) * ne], p, theta, z[i * nz : (i + 1) * nz])
-            for i in range(size)
-        ]
-        return tuple(ca.vertcat(*column) for column in zip(*found, strict=True))
-
-    shapes = [(size * nh, 1), (size * ne, 1), (n_p, 1), (n_theta, 1), (size * nz, 1)]
-    return tiles.function(f"observed_{size}", *shapes)(body)
-
-
-@cache
-def _chain(n: int, nh: int, size: int, m: int) -> ca.Function:
-    """blk(slopes) moved, with the slopes stacked (size n x nh)."""
-
-    def body(slope: ca.SX, moved: ca.SX) -> ca.SX:
-        return ca.vertcat(
-            *[ca.mtimes(slope[i * n : (i + 1) * n, :], moved[i * nh : (i + 1) * nh, :]) for i in range(size)]
-        )
-
-    return tiles.function(f"chain_{n}_{nh}_{size}_{m}", (size * n, nh), (size * nh, m))(body)
-
-
-@cache
-def _normal(rows: int, n: int) -> ca.Function:
-    """[r + M_0, M_s]' W [r + M_0, M_s]: normal matrix, gradient and cost in one symmetric matrix."""
-
-    def body(r: ca.SX, M: ca.SX, w: ca.SX) -> ca.SX:
-        full = ca.horzcat(r + M[:, 0], M[:, 1:])
-        return ca.mtimes((full * ca.repmat(w, 1, n)).T, full)
-
-    return tiles.function(f"normal_{rows}_{n}", (rows, 1), (rows, n), (rows, 1))(body)
