@@ -160,7 +160,7 @@ def _reach(
             for sign, start in ((1.0, starts[1]), (-1.0, starts[0])):
                 own = {**known, "w": sign * mine}
                 arguments = [q.tolerance, q.iteration_limit, *[own[name] for name in problem_3.given]]
-                V, Z, unknown, size, _, _, slack, _ = solve(wanted, *start, *arguments)
+                V, Z, unknown, size, _, _, _, slack, _ = solve(wanted, *start, *arguments)
                 value = ca.dot(mine, residual(V, Z, unknown, known["data"], known["p"], known["y"]) + known["y"])
                 met = ca.logic_and(ca.logic_and(size < q.tolerance**2, slack < MET), ca.fabs(value) < HUGE)
                 furthest = ca.fmax(furthest, ca.if_else(met, sign * (value - predicted), 0))

@@ -83,6 +83,7 @@ def state(method: Method) -> Layout:
         cost=1,
         iterations=1,
         conditioning=1,
+        deviation=1,
         node0_residual=1,
         slack=int(method.constraints.any),
         rejected=1,
@@ -181,12 +182,12 @@ def jump(method: Method) -> ca.Function:
     found: Any = solve(due, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
     if method.constraints.tube:
         # Bounds that contradict each other have gone wrong somewhere: all of them start again from y +- b.
-        contradiction = ca.logic_and(due, ca.logic_not(found[6] <= VIOLATED))
+        contradiction = ca.logic_and(due, ca.logic_not(found[7] <= VIOLATED))
         bounds = bounded_noise.released(method, q, bounds, compared, y, contradiction)
         given |= {"lower": bounds["lower"], "upper": bounds["upper"]}
         again = solve(contradiction, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
         found = [ca.if_else(contradiction, b, a) for a, b in zip(found, again, strict=True)]
-    V_new, Z_new, unknown_new, size, cost_after, conditioning, slack, iterations = found
+    V_new, Z_new, unknown_new, size, cost_after, conditioning, spread, slack, iterations = found
     sound = ca.sumsqr(ca.vertcat(V_new, Z_new, unknown_new)) < HUGE
     converged = ca.logic_and(ca.logic_and(due, sound), size < q.tolerance**2)
     determined = (
@@ -217,12 +218,17 @@ def jump(method: Method) -> ca.Function:
         ca.fmax(s.changed - 1, 0),
     )
     rms = ca.sqrt(cost_now / ca.fmax(ca.sum1(point_weight), Ts))
+    # The samples' noise is what the fit leaves, or what tuning says of it.
+    redundancy = ca.fmax(ca.sum1(W) - nx - nt, 1)
+    variance = spread * (Ts if method.arrival else cost_after / redundancy)
+    deviation = ca.if_else(accepted, ca.sqrt(ca.fmax(variance, 0)), s.deviation)
     status = ca.if_else(moving + (s.k == L), CODE.converged, CODE.growing_window)
     for condition, code in (
         (kept, CODE.prediction_kept),
         (ca.sum1(valid) < ny, CODE.sample_rejected),
         (node0 > q.collocation_limit, CODE.coarse_collocation),
         (changed > 0, CODE.parameter_changed),
+        (deviation > q.deviation_limit, CODE.uncertain),
         (rms > q.residual_limit, CODE.inconsistent),
         (slack > VIOLATED, CODE.inconsistent),
         (ca.logic_and(converged, ca.logic_not(determined)), CODE.undetermined),
@@ -260,6 +266,7 @@ def jump(method: Method) -> ca.Function:
         "cost": cost_now,
         "iterations": iterations,
         "conditioning": conditioning,
+        "deviation": deviation,
         "node0_residual": node0,
         "rejected": s.rejected + (ca.sum1(ca.logic_and(offered, ca.logic_not(finite))) > 0),
         "failures": s.failures + failed,

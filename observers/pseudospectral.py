@@ -161,7 +161,7 @@ def pseudospectral(
         **arrival.start(q, arrival_cost),
     }
     measured = [s.x, s.z, s.theta, s.x_filtered, s.z_filtered, s.theta_filtered, s.status, s.cost, s.iterations]
-    measured += [s.innovation, s.conditioning, s.node0_residual, s.slack, s.bounds, s.rejected, s.failures]
+    measured += [s.innovation, s.conditioning, s.deviation, s.node0_residual, s.slack, s.bounds, s.rejected, s.failures]
     return Component(
         name=name or f"{model.name}_pseudospectral",
         description=(

@@ -28,6 +28,10 @@ STATUS = Enumeration(
             "the rms output residual exceeds tuning.residual_limit, or bounds contradict each other: the samples do not fit the model",
         ),
         ("singular", "the algebraic equations hardly determine the algebraic variables somewhere in the window"),
+        (
+            "uncertain",
+            "the samples' noise leaves a state or unknown parameter open by more than tuning.deviation_limit",
+        ),
     ),
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
@@ -69,6 +73,13 @@ TUNING = (
         variability="tunable",
     ),
     Port(
+        "tuning.deviation_limit",
+        "estimated standard deviation, in units of nominal values, above which the status is uncertain",
+        start=1.0,
+        min=0.0,
+        variability="tunable",
+    ),
+    Port(
         "tuning.collocation_limit",
         "scaled residual at node 0 above which the status is coarse_collocation",
         start=0.02,
@@ -101,6 +112,11 @@ QUALITY = (
     Port(
         "diagnostics.conditioning",
         "smallest over largest pivot of the normal matrix; near 0: not determined",
+        variability="discrete",
+    ),
+    Port(
+        "diagnostics.deviation",
+        "estimated standard deviation of the least certain state at the window's start or unknown parameter, in units of nominal values",
         variability="discrete",
     ),
     Port("diagnostics.node0_residual", "collocation residual at the dropped node 0, scaled", variability="discrete"),

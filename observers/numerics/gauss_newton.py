@@ -70,12 +70,12 @@ class Solve:
 
 
 def newton_step(solve: Solve) -> ca.Function:
-    """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, slack).
+    """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, spread, slack).
 
     The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the samples' weighted sum of squares that the linearisation
-    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of their scaled normal matrix over the largest, `slack` by
-    how much the rows had to be relaxed, in nominal units.
+    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of their scaled normal matrix over the largest, `spread` the
+    largest diagonal entry of the whole one's inverse, `slack` by how much the rows had to be relaxed, in nominal units.
     """
     problem = solve.problem
     kind = ca.MX if solve.constraints.any else problem.kind
@@ -89,7 +89,7 @@ def newton_step(solve: Solve) -> ca.Function:
         normal = normal + _prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
     if solve.aim:
         normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
-    step, conditioning, cost = _free(tuple(problem.scale))(normal, g["lam"])
+    step, conditioning, cost, spread = _free(tuple(problem.scale))(normal, g["lam"])
     if solve.arrival:
         conditioning = _free(tuple(problem.scale))(at.normal, g["lam"])[1]
     slack: Any = 0
@@ -110,7 +110,7 @@ def newton_step(solve: Solve) -> ca.Function:
     )
     weights = np.tile(1 / problem.rate_scale, problem.segment.order * problem.count) if problem.n_rates else np.zeros(0)
     size = ca.sumsqr(step / problem.scale) + (ca.sumsqr(dV * weights) if problem.n_rates else 0)
-    results = [V + dV, at.Z, s + length * step, size, cost, conditioning, slack]
+    results = [V + dV, at.Z, s + length * step, size, cost, conditioning, spread, slack]
     return ca.Function("newton", [V, Z, s, whole, *g.values()], results)
 
 
@@ -139,15 +139,16 @@ def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
 
 
 def _free(scale: tuple[float, ...]) -> ca.Function:
-    """(step, conditioning, cost after the step) from the matrix of squares and the regularisation, in units of `scale`."""
+    """(step, conditioning, cost after the step, spread) from the matrix of squares and the regularisation, in units of `scale`."""
     ns = len(scale)
 
-    def body(full: ca.SX, lam: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def body(full: ca.SX, lam: ca.SX) -> tuple[ca.SX, ...]:
         S = ca.diag(ca.DM(scale))
         H, g = ca.mtimes([S, full[1:, 1:], S]), ca.mtimes(S, full[1:, 0])
-        step, pivots = linear.ldl_solve(H + lam * ca.DM.eye(ns), -g)
+        solved, pivots = linear.ldl_solve(H + lam * ca.DM.eye(ns), ca.horzcat(-g, ca.DM.eye(ns)))
+        step, spread = solved[:, 0], ca.mmax(ca.diag(solved[:, 1:]))
         cost = full[0, 0] + 2 * ca.dot(g, step) + ca.dot(step, ca.mtimes(H, step))
-        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0)
+        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), spread
 
     return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
 

@@ -19,7 +19,7 @@ HUGE = 1e150  # beyond: not finite; its square still is a number
 
 
 def iterate(solve: Solve) -> ca.Function:
-    """Function solve(go, V, Z, s, tol, limit, *given) -> (V, Z, s, size, cost, conditioning, slack, iterations).
+    """Function solve(go, V, Z, s, tol, limit, *given) -> (V, Z, s, size, cost, conditioning, spread, slack, iterations).
 
     Full Gauss-Newton steps, damped ones after WHOLE_STEPS. Iterates while the scaled step exceeds `tol`, stays finite, and fewer than
     `limit` steps are done; the last step is applied, so that an error of tol before it is one of about tol^2 after. A line search on a
@@ -29,7 +29,7 @@ def iterate(solve: Solve) -> ca.Function:
     V, Z, s, _, *fixed = (ca.MX.sym(newton.name_in(i), newton.numel_in(i)) for i in range(newton.n_in()))
     whole_steps = WHOLE_STEPS_AIMED if solve.aim else WHOLE_STEPS
     go, tolerance, limit = ca.MX.sym("go"), ca.MX.sym("tolerance"), ca.MX.sym("limit")
-    results = dict.fromkeys(("size", "cost", "conditioning", "slack", "iterations"), 1)
+    results = dict.fromkeys(("size", "cost", "conditioning", "spread", "slack", "iterations"), 1)
     state = lay.Layout(V=V.numel(), Z=Z.numel(), s=s.numel(), **results)
     now = ca.MX.sym("now", state.total)
     stay = ca.Function("stay", [now, *fixed], [now])

@@ -81,7 +81,7 @@ def givens(A: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(H^-1 b, pivots) of a symmetric positive definite H (n x n) by L D L'; b (n x 1).
+    """(H^-1 b, pivots) of a symmetric positive definite H (n x n) by L D L'; b (n x m).
 
     The pivots (n x 1) tell how near H is to singular.
     """
@@ -99,7 +99,7 @@ def ldl_solve(H: ca.SX, b: ca.SX) -> tuple[ca.SX, ca.SX]:
             for k in range(j):
                 entry = entry - L[i][k] * L[j][k] * d[k]
             L[i][j] = entry / pivot
-    x = [b[i] for i in range(n)]
+    x = [b[i, :] for i in range(n)]
     for i in range(n):
         for k in range(i):
             x[i] = x[i] - L[i][k] * x[k]
