@@ -52,7 +52,8 @@ def compose(
     n_p = len(observer.parameters)
     parameters = (*observer.parameters, *(replace(port, name=f"feedback.{port.name}") for port in feedback.parameters))
 
-    state = Layout(observer=observer.n_z, held=len(feedback.outputs), next=1)  # next: the sample instant to come [s]
+    # The observer comes last: its state may end with why its motion failed. next: the sample instant to come [s].
+    state = Layout(held=len(feedback.outputs), next=1, observer=observer.n_z)
     z, u, p = ca.MX.sym("z", state.total), ca.MX.sym("u", len(free)), ca.MX.sym("p", len(parameters))
     t, h = ca.MX.sym("t"), ca.MX.sym("h")
     s, own, settings = state.unpack(z), p[:n_p], p[n_p:]
@@ -74,9 +75,9 @@ def compose(
         observer,
         name=name or f"{observer.name}_{feedback.name}",
         description=f"{observer.description}, with the feedback {feedback.name} ({feedback.description})",
-        start=ca.Function("start", [p, t], [ca.vertcat(observer.start(own, t), ca.DM.zeros(len(driven)), t)]),
-        flow=ca.Function("flow", [z, u, p, t, h], [ca.vertcat(flown, s.held, s.next)]),
-        jump=ca.Function("jump", [z, u, p, t], [ca.vertcat(jumped, fresh, t + period)]),
+        start=ca.Function("start", [p, t], [ca.vertcat(ca.DM.zeros(len(driven)), t, observer.start(own, t))]),
+        flow=ca.Function("flow", [z, u, p, t, h], [ca.vertcat(s.held, s.next, flown)]),
+        jump=ca.Function("jump", [z, u, p, t], [ca.vertcat(fresh, t + period, jumped)]),
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(y, control)]),
         inputs=free,
         parameters=parameters,
