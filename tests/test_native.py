@@ -19,6 +19,7 @@ from lxml import etree
 from toys import feedthrough_toy, growing_toy, sampled_toy
 
 from fmu_src import PLATFORMS, ExportError, export, native
+from fmu_src.compliance.binaries import functions
 from fmu_src.sources import FMI_HEADERS
 from observers.component import Component
 
@@ -28,15 +29,6 @@ Path_of = Callable[[str], Path]
 
 def library(folder: Path) -> Path:
     return next((folder / "binaries").glob("*/*"))
-
-
-def cosimulation_functions() -> set[str]:
-    """The names in FMI's own header, without those of its section for model exchange."""
-    header = (Path(fmpy.__file__).parent / "c-code" / "fmi2Functions.h").read_text()
-    declarations = header[header.index("Inquire version numbers of header files") :]
-    common, rest = declarations.split("Functions for FMI2 for Model Exchange")
-    cosimulation = rest.split("Functions for FMI2 for Co-Simulation")[1]
-    return set(re.findall(r"FMI2_Export \w+TYPE\s+(\w+);", common + cosimulation))
 
 
 def elf(path: str) -> tuple[set[str], set[str], set[tuple[int, ...]]]:
@@ -55,7 +47,7 @@ def elf(path: str) -> tuple[set[str], set[str], set[tuple[int, ...]]]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads an ELF file")
 def test_every_cosimulation_function_is_exported_and_nothing_else(unpacked: Path_of) -> None:
-    wanted = cosimulation_functions()
+    wanted = functions("CoSimulation")
     assert len(wanted) == 34
     for name in ("duffing", "growing_toy"):
         assert elf(library(unpacked(name)))[0] == wanted
@@ -235,7 +227,7 @@ def test_one_fmu_holds_every_platform_and_the_sources_and_compiles_reproducibly(
         folder = Path(archive.extract("modelDescription.xml", tmp_path)).parent
         archive.extractall(folder)
     assert set(binaries) == set(PLATFORMS) == set(PROCESSORS)
-    wanted = cosimulation_functions()
+    wanted = functions("CoSimulation")
     for platform, name in binaries.items():
         assert Path(name).stem == "growing_toy"
         content = (folder / name).read_bytes()

@@ -14,13 +14,13 @@ import fmpy
 import numpy as np
 import pytest
 from conftest import Slave
-from test_native import cosimulation_functions
 from tools import WINE, need
 
 from build_fmus import SYSTEMS, build, choose
 from cosim.master import run
 from cosim.results import Result
 from fmu_src import native
+from fmu_src.compliance.binaries import functions
 
 pytestmark = pytest.mark.long  # zig compiles its C library for Windows once: a minute
 
@@ -192,7 +192,7 @@ def test_every_kind_of_observer_and_its_plant_give_linux64s_numbers_and_resume_f
 
 def test_all_functions_of_the_standard_are_exported(both: Path, windows: Windows, tmp_path: Path) -> None:
     library = Path(fmpy.extract(str(both / "fmus" / "duffing.fmu"), str(tmp_path))) / "binaries/win64/duffing.dll"
-    names = sorted(cosimulation_functions())
+    names = sorted(functions("CoSimulation"))
     answers = windows.calls(library, [f"exported {name}" for name in [*names, "component", "flow"]], tmp_path)
     assert answers == [["exported", "1"]] * len(names) + [["exported", "0"]] * 2
 
