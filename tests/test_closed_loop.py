@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,12 @@ import numpy as np
 import pytest
 from toys import feedthrough_toy, growing_toy, sampled_toy
 
+from cosim.estimates import pairs
+from cosim.master import run as master
 from cosim.results import Result
+from cosim.slave import RunError
+from cosim.system import Element, System
+from fmu_src import export
 from observers.component import Component
 from observers.compose import compose
 from observers.controller import controller
@@ -48,6 +54,13 @@ def test_every_duffing_loop_settles_at_the_origin(example: Example, element: str
     result = example("closed_loop_duffing")
     assert size(result, element)[0] > 2
     assert size(result, element)[result.time >= 20].max() < bound
+
+
+def test_each_observer_is_rated_against_the_plant_in_its_own_loop(example: Example) -> None:
+    found = {(pair.estimate, pair.truth) for pair in pairs(example("closed_loop_duffing"))}
+    states = ("x1", "x2", "theta")
+    loops = (("observer", "plant"), ("observer_ukf", "plant_ukf"))
+    assert found == {(f"{o}.estimate.{v}", f"{plant}.x.{v}") for o, plant in loops for v in states}
 
 
 def test_without_control_the_oscillator_stays_away_from_the_origin() -> None:
@@ -143,6 +156,31 @@ def test_the_composed_component_keeps_what_the_observer_has_and_drives_its_known
         alone.set("rate", -level)
         run.step(0.1 * k, 0.1)
         alone.step(0.1 * k, 0.1)
+
+
+def test_a_composed_dae_plant_says_where_its_branch_ends_as_alone(tmp_path: Path) -> None:
+    alone = gong_2007.rlc()
+    sampled = replace(
+        alone,
+        parameters=tuple(
+            replace(port, start=0.2, min=1e-6) if port.name == "sensor.sample_time" else port
+            for port in alone.parameters
+        ),
+    )
+    flux = Variable("x2", unit="Wb")
+    shown = controller("shown", inputs=[flux], outputs=[Variable("u")], law=lambda x, p, t: [x.x2])
+    whole = compose(sampled, shown, source="x")
+    words = []
+    for component in (alone, whole):
+        run = Instance(component)
+        with pytest.raises(ValueError, match=r"do not determine 'x3' \(singular.* at t = 4\.09") as refused:
+            for k in range(30):
+                run.step(0.2 * k, 0.2)
+        words.append(str(refused.value).partition(": ")[2])
+    assert words[0] == words[1]
+    system = System("loop", {"plant": Element(export(whole, tmp_path))}, stop=6.0, step=0.2)
+    with pytest.raises(RunError, match=re.escape(words[0])):
+        master(system)
 
 
 def _seeing(component: Component) -> Component:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from systems import coupled, edited, written
 from typer.testing import CliRunner, Result
 
 from cosim.__main__ import app
 from cosim.comparison import MASTERS, differences, largest, record_all
 from cosim.errors import ExperimentError
-from systems import coupled, edited, written
 
 Build = Callable[[str], Path]
 

@@ -13,6 +13,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from systems import coupled, edited, written
 
 from build_fmus import FMUS, SYSTEMS
 from cosim.comparison import LIMIT, MASTERS, differences, largest, record_all
@@ -26,7 +27,6 @@ from observers.component import Component, Port
 from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
-from systems import coupled, edited, written
 
 Build = Callable[[str], Path]
 ROOT = Path(__file__).parent.parent
@@ -37,7 +37,9 @@ DELAYED = ("closed_loop_duffing_controller", "closed_loop_motor_controller")
 
 @pytest.mark.usefixtures("other_masters")
 @pytest.mark.parametrize("name", [name for name in SYSTEMS if name not in DELAYED])
-def test_every_system_without_direct_feedthrough_gives_the_same_numbers_in_every_tool(name: str, catalogue: Path) -> None:
+def test_every_system_without_direct_feedthrough_gives_the_same_numbers_in_every_tool(
+    name: str, catalogue: Path
+) -> None:
     recordings = record_all(catalogue / "systems" / f"{name}.ssp", MASTERS)
     reference = recordings["fmpy"]
     kinds = run(catalogue / "systems" / f"{name}.ssp").kinds
@@ -179,7 +181,9 @@ def test_a_loop_through_a_controller_fmu_is_one_step_late_in_ecos_and_libcosim_a
             # Ecos shows what the controller makes of the inputs that it has just been given: what acts a step later.
             if column in recordings[tool] and not (tool == "ecos" and column == "controller.u"):
                 limit = 1e-12 * np.abs(values).max()
-                np.testing.assert_allclose(recordings[tool][column], values, rtol=0, atol=limit, err_msg=f"{tool} {column}")
+                np.testing.assert_allclose(
+                    recordings[tool][column], values, rtol=0, atol=limit, err_msg=f"{tool} {column}"
+                )
 
 
 def read_then_set(name: str) -> dict[str, np.ndarray]:
@@ -189,7 +193,9 @@ def read_then_set(name: str) -> dict[str, np.ndarray]:
     """
     recipe = SYSTEMS[name]
     runs = {e: Instance(FMUS[fmu][0](), recipe.parameters.get(e, {})) for e, fmu in recipe.fmus.items()}
-    columns: dict[str, list[float]] = {f"{e}.{port.name}": [] for e, run in runs.items() for port in run.component.outputs}
+    columns: dict[str, list[float]] = {
+        f"{e}.{port.name}": [] for e, run in runs.items() for port in run.component.outputs
+    }
     for k in range(-1, round(recipe.stop / recipe.step) + 1):
         if k > 0:
             for run in runs.values():
