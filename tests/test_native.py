@@ -20,7 +20,7 @@ from toys import feedthrough_toy, growing_toy, sampled_toy
 from fmu_src import PLATFORMS, ExportError, export, native
 from fmu_src.compliance.binaries import functions
 from fmu_src.sources import FMI_HEADERS
-from observers.component import Component
+from observers.component import Component, Port
 
 ROOT = Path(__file__).parent.parent
 Path_of = Callable[[str], Path]
@@ -105,6 +105,15 @@ def test_the_archive_holds_what_an_fmu_should(built: Path_of) -> None:
         page = archive.read("documentation/index.html").decode()
     assert "<svg" in page and "src=" not in page and "http://www.w3.org" in page
     assert all(port in page for port in ("model.theta_jump_time[1]", "sensor.noise_bound", "x.theta"))
+    assert "[0, 1048576]" in page  # of the seed
+
+
+def test_the_page_shows_truth_values_as_such(tmp_path: Path) -> None:
+    toy = sampled_toy()
+    flag = Port("valid", "counts y?", kind="Boolean", start=1.0, variability="discrete")
+    with zipfile.ZipFile(export(dataclasses.replace(toy, inputs=(toy.inputs[0], flag)), tmp_path)) as archive:
+        page = archive.read("documentation/index.html").decode()
+    assert "<td>Boolean</td><td class=n>true</td><td class=n></td><td>counts y?</td>" in page
 
 
 def test_the_page_of_a_driven_component_shows_plant_and_estimate(tmp_path: Path) -> None:

@@ -26,7 +26,17 @@ pytestmark = pytest.mark.long  # zig compiles its C library for Windows once: a 
 
 DRIVER = Path(__file__).parent / "win64" / "drive.c"
 # A system for every kind of observer, with its plant.
-KINDS = ("gong_example_2", "gong_example_5_ukf", "james_baras_5_1", "chen_yen_short", "nikoukhah_motor")
+KINDS = (
+    "gong_example_2",
+    "gong_example_4_tube",
+    "gong_example_5_ukf",
+    "gong_example_6",
+    "james_baras_5_1",
+    "chen_yen_short",
+    "nikoukhah_motor",
+    "nikoukhah_motor_regional",
+    "nikoukhah_example_2_1",
+)
 TOLERANCE = 1e-12  # of the variable's largest value
 Answers = list[list[str]]
 
@@ -77,6 +87,22 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def records(both: Path) -> dict[str, Result]:
     """What the master records of the systems with this machine's binaries."""
     return {name: run(both / "systems" / f"{name}.ssp") for name in KINDS}
+
+
+def kind(fmu: Path) -> frozenset[str]:
+    """What makes an FMU one of its kind: the tuning that it offers, and whether it has algebraic variables."""
+    names = [v.name.split("[")[0].split(".") for v in fmpy.read_model_description(str(fmu)).modelVariables]
+    return frozenset(
+        ".".join(name[:2]) if name[0] == "tuning" else name[0] for name in names if name[0] in ("tuning", "z")
+    )
+
+
+def test_no_kind_of_plant_or_observer_is_forgotten(catalogue: Path) -> None:
+    found: dict[frozenset[str], str] = {}
+    for system in (*KINDS, *SYSTEMS):
+        for fmu in SYSTEMS[system].fmus.values():
+            found.setdefault(kind(catalogue / "fmus" / f"{fmu}.fmu"), system)
+    assert set(found.values()) <= set(KINDS), found
 
 
 def bits(value: float) -> str:
