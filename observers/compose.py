@@ -36,7 +36,7 @@ def compose(
         name: the component's name; `<observer>_<feedback>` if absent.
 
     Raises:
-        ValueError: the observer has no output that an input of the feedback asks for; units differ; the feedback has states; the
+        ValueError: the observer has no output that an input of the feedback asks for; types or units differ; the feedback has states; the
             observer has no sample time, or one that can be 0; an output of the observer depends directly on an input.
     """
     where = f"compose '{observer.name}' with '{feedback.name}'"
@@ -47,7 +47,7 @@ def compose(
     _check_feedthrough(where, observer, driven)
     for goal in observer.inputs:
         if goal.name in driven:
-            _check_units(where, feedback.outputs[driven[goal.name]], goal, f"the observer takes '{goal.name}'")
+            _check_fit(where, feedback.outputs[driven[goal.name]], goal, f"the observer takes '{goal.name}'")
     free = tuple(port for port in observer.inputs if port.name not in driven)
     n_p = len(observer.parameters)
     parameters = (*observer.parameters, *(replace(port, name=f"feedback.{port.name}") for port in feedback.parameters))
@@ -77,7 +77,7 @@ def compose(
         description=f"{observer.description}, with the feedback {feedback.name} ({feedback.description})",
         start=ca.Function("start", [p, t], [ca.vertcat(ca.DM.zeros(len(driven)), t, observer.start(own, t))]),
         flow=ca.Function("flow", [z, u, p, t, h], [ca.vertcat(s.held, s.next, flown)]),
-        jump=ca.Function("jump", [z, u, p, t], [ca.vertcat(fresh, t + period, jumped)]),
+        jump=ca.Function("jump", [z, u, p, t], [ca.densify(ca.vertcat(fresh, t + period, jumped))]),
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(y, control)]),
         inputs=free,
         parameters=parameters,
@@ -95,12 +95,14 @@ def _source(where: str, observer: Component, source: str, port: Port) -> int:
     if wanted not in places:
         known = ", ".join(name for name in places if name.startswith(f"{source}.")) or "none"
         raise ValueError(f"{where}: the feedback reads '{wanted}', which the observer does not put out; known: {known}")
-    _check_units(where, observer.outputs[places[wanted]], port, f"the feedback reads '{port.name}'")
+    _check_fit(where, observer.outputs[places[wanted]], port, f"the feedback reads '{port.name}'")
     return places[wanted]
 
 
-def _check_units(where: str, source: Port, goal: Port, taking: str) -> None:
-    """As between FMUs: nothing converts, and a dimensionless end fits any."""
+def _check_fit(where: str, source: Port, goal: Port, taking: str) -> None:
+    """As between FMUs: types agree, nothing converts units, and a dimensionless end fits any."""
+    if source.kind != goal.kind:
+        raise ValueError(f"{where}: '{source.name}' is of type {source.kind}, but {taking} as {goal.kind}")
     if "1" not in (source.unit, goal.unit) and source.unit != goal.unit:
         raise ValueError(f"{where}: '{source.name}' is in {source.unit}, but {taking} in {goal.unit}")
 

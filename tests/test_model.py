@@ -39,6 +39,7 @@ def test_a_model_prints_its_dimensions_names_and_units():
         (dict(ode=lambda x, u, p, t: [x.rate]), r"ode: 1 expressions for 2 variables \(angle, rate\)"),
         (dict(ode=lambda x, u, p, t: [x.rate, x.speed]), "there is no state 'speed'; known: angle, rate"),
         (dict(ode=lambda x, u, p, t: [x.rate, p.mass]), "there is no parameter 'mass'; known: g, friction"),
+        (dict(output=lambda x, u, p, t: x.angle), "output: a list of expressions is wanted"),
         (dict(output=lambda x, u, p, t: [x.angle, x.rate]), "output: 2 expressions for 1 variables"),
         (dict(output=lambda x, u, p, t: [u.torque]), "output 'y' depends on no state"),
         (dict(output=lambda x, u, p, t: [ca.vertcat(x.angle, x.rate)]), "the expression for 'y' is not a scalar"),
