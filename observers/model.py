@@ -261,6 +261,5 @@ def refuse(model: Model, method: str, *features: str) -> None:
         variables = getattr(model, feature)
         if variables:
             names = ", ".join(v.name for v in variables)
-            raise ModelError(
-                f"{method}: model '{model.name}' has {feature.replace('_', ' ')} ({names}), which this method does not treat"
-            )
+            what = "algebraic variables" if feature == "algebraic" else feature.replace("_", " ")
+            raise ModelError(f"{method}: model '{model.name}' has {what} ({names}), which this method does not treat")

@@ -90,7 +90,7 @@ def test_a_method_refuses_what_it_does_not_treat_by_name():
         output=lambda x, z, u, p, t: [x.angle],
     )
     disturbed = pendulum(unknown_disturbances=[Variable("wind")])
-    with pytest.raises(ModelError, match=r"model 'pendulum' has algebraic \(z\)"):
+    with pytest.raises(ModelError, match=r"model 'pendulum' has algebraic variables \(z\)"):
         ukf(dae, sample_time=0.1)
     for make in (plant, lambda model: pseudospectral(model, sample_time=0.1)):
         with pytest.raises(ModelError, match=r"has unknown disturbances \(wind\)"):
