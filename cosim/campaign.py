@@ -146,11 +146,12 @@ def _rated(resolved: ResolvedSystem) -> list[Pair]:
         for variable in description.modelVariables
         if variable.causality == "output" and variable.type == "Real"
     ]
-    found = paired(names)
+    found = paired(names, resolved.upstream())
     if not found:
         raise ExperimentError(
             f"system '{resolved.system.name}' has no estimate beside its truth "
-            "(outputs <observer>.estimate.<variable> and <plant>.x.<variable>): there is nothing to rate"
+            "(outputs <observer>.estimate.<variable> and, of a plant that it observes, <plant>.x.<variable> or .z.<variable>): "
+            "there is nothing to rate"
         )
     return found
 

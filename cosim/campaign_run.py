@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,5 +150,5 @@ def load(path: Path) -> Outcome:
         with np.load(path, allow_pickle=False) as stored:
             head = json.loads(str(stored["head"]))
             return Outcome(**head, time=stored["time"], truths=stored["truths"], estimates=stored["estimates"])
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise SystemFileError(f"{path}: not the record of a run ({error}); delete it to run it again") from None

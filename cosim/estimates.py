@@ -1,17 +1,19 @@
-"""Which columns of a result are estimates, and of what: found by the names alone."""
+"""Which columns of a result are estimates, and of what: found by the names and the connections."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from cosim.results import Result
 
+TRUTHS = ("x", "z")  # under which a plant puts out its true states and parameters, and its algebraic variables
+
 
 class Pair(NamedTuple):
-    """An estimate and the truth it is of: columns `<observer>.estimate.<variable>` and `<plant>.x.<variable>`."""
+    """An estimate and its truth: columns `<observer>.estimate.<variable>` and `<plant>.x.<variable>` (or `.z.`, algebraic)."""
 
     variable: str
     estimate: str
@@ -23,20 +25,28 @@ class Pair(NamedTuple):
 
 
 def pairs(result: Result) -> list[Pair]:
-    """Every estimate of `result` with every truth of the same variable, in the order of the estimates."""
-    return paired(result.names)
+    """Every estimate of `result` with every truth of the same variable in an element that it observes, in the estimates' order."""
+    return paired(result.names, result.upstream)
 
 
-def paired(names: Sequence[str]) -> list[Pair]:
-    """The same among the columns called `names`."""
-    truths: dict[str, list[str]] = {}
+def paired(names: Sequence[str], upstream: Mapping[str, frozenset[str]]) -> list[Pair]:
+    """The same among the columns called `names`; `upstream` are the elements that an element observes."""
+    truths: dict[str, list[tuple[str, str]]] = {}
     for name in names:
-        _, marker, variable = name.partition(".x.")
-        if marker:
-            truths.setdefault(variable, []).append(name)
+        element, kind, variable = _parts(name)
+        if kind in TRUTHS:
+            truths.setdefault(variable, []).append((element, name))
     found: list[Pair] = []
     for name in names:
-        _, marker, variable = name.partition(".estimate.")
-        if marker:
-            found.extend(Pair(variable, name, truth) for truth in truths.get(variable, ()))
+        observer, kind, variable = _parts(name)
+        if kind == "estimate":
+            seen = (truth for element, truth in truths.get(variable, ()) if element in upstream[observer])
+            found.extend(Pair(variable, name, truth) for truth in seen)
     return found
+
+
+def _parts(name: str) -> tuple[str, str, str]:
+    """`plant.x.x1` as (plant, x, x1); empty what is not there."""
+    element, _, rest = name.partition(".")
+    kind, _, variable = rest.partition(".")
+    return element, kind, variable

@@ -22,8 +22,8 @@ class Log:
     rows: list[list[str]]
     lines: list[int]
 
-    def column(self, name: str) -> np.ndarray:
-        """The numbers of a column, (n,); an empty cell is NaN.
+    def column(self, name: str, truth: bool = False) -> np.ndarray:
+        """The numbers of a column, (n,); an empty cell is NaN. With `truth`, `true` and `false` are 1 and 0, in letters of any case.
 
         Raises:
             ExperimentError: there is no such column, or a cell is not a number; the message names its line.
@@ -31,12 +31,14 @@ class Log:
         if name not in self.names:
             raise ExperimentError(f"{self.path}: there is no column '{name}'; {suggest(name, self.names)}")
         index, values = self.names.index(name), np.empty(len(self.rows))
+        words = {"true": 1.0, "false": 0.0} if truth else {}
         for i, row in enumerate(self.rows):
             try:
-                values[i] = float(row[index] or "nan")
+                values[i] = words.get(row[index].lower(), row[index] or "nan")
             except ValueError:
                 raise ExperimentError(
                     f"{self.path}, line {self.lines[i]}: '{row[index]}' in column '{name}' is not a number"
+                    + (", true or false" if truth else "")
                 ) from None
         return values
 

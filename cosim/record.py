@@ -103,4 +103,5 @@ class Record:
             items={name: enumeration_items(v) for name, v in named if v.type == "Enumeration"},
             step_ns={element: ns[: max(rows - 1, 0)] for element, ns in self.step_ns.items()},
             messages=self.messages,
+            upstream=self._resolved.upstream(),
         )

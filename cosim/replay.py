@@ -64,7 +64,8 @@ def replay(
 
     Args:
         fmu: the FMU.
-        log: CSV, also compressed (.csv.gz), with columns named like the FMU's inputs and a column `time` [s].
+        log: CSV, also compressed (.csv.gz), with columns named like the FMU's inputs and a column `time` [s]; those of Boolean
+            inputs hold true and false, or 1 and 0.
         sample_time: time between the rows of a log without a column `time` [s]; the first is then of time 0.
         mapping: the column of an input whose name is another, `{"y": "V2"}`.
         overrides: start values of parameters; the constant values of inputs without a column.
@@ -160,14 +161,14 @@ def _signal(
     log: Log, variable: ModelVariable, column: str, rows: np.ndarray, inputs: Mapping[str, ModelVariable]
 ) -> np.ndarray:
     """The values of an input at the sample instants and one sample time after the last, (n + 1,)."""
-    recorded = log.column(column)
+    recorded = log.column(column, truth=variable.type == "Boolean")
     if variable.type != "Real":
         wrong = ~np.isin(recorded, (0, 1)) if variable.type == "Boolean" else np.mod(recorded, 1) != 0
         if wrong.any():
-            line = log.lines[int(np.argmax(wrong))]
+            first = int(np.argmax(wrong))
+            cell = log.rows[first][log.names.index(column)]
             raise ExperimentError(
-                f"{log.path}, line {line}: '{variable.name}' is {variable.type}, and column '{column}' holds "
-                f"{recorded[wrong][0]:g}"
+                f"{log.path}, line {log.lines[first]}: '{variable.name}' is {variable.type}, and column '{column}' holds '{cell}'"
             )
     taken = np.append(rows, -1)
     values = recorded[np.maximum.accumulate(taken)]  # the rows ascend: where there is none (-1), the last one

@@ -37,6 +37,7 @@ class Result:
         items: for enumerations, by column name, the item names by their values.
         step_ns: (n - 1,) wall time of each fmi2DoStep [ns], by element.
         messages: what the FMUs logged, in order.
+        upstream: for each element those whose outputs reach its inputs, directly or through others.
     """
 
     system: str
@@ -50,6 +51,7 @@ class Result:
     items: Mapping[str, Mapping[int, str]]
     step_ns: Mapping[str, np.ndarray]
     messages: Sequence[Message]
+    upstream: Mapping[str, frozenset[str]]
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The column `name`, (n,).

@@ -81,6 +81,14 @@ class ResolvedSystem:
         """The path of the output that drives each connected input, by the input's path."""
         return {f"{c.target}.{c.input.name}": f"{c.source}.{c.output.name}" for c in self.connections}
 
+    def upstream(self) -> dict[str, frozenset[str]]:
+        """For each element those whose outputs reach its inputs, directly or through others."""
+        found = {name: {c.source for c in self.connections if c.target == name} for name in self.system.elements}
+        for _ in found:  # the longest way passes each once
+            for name, sources in found.items():
+                found[name] = sources.union(*(found[source] for source in sources))
+        return {name: frozenset(sources) for name, sources in found.items()}
+
     def experiment(self, stop: float | None = None, step: float | None = None) -> tuple[float, float]:
         """Stop time and step [s]: as given, else as the system says, else as its FMUs' default experiments say.
 

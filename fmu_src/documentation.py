@@ -10,7 +10,7 @@ from fmu_src.description import LICENSE, LOG_CATEGORIES, TOOL, Entry, entries
 from fmu_src.figures import icon, panels, plot
 from fmu_src.platforms import PLATFORMS
 from fmu_src.reference import shown_outputs
-from observers.component import Component, bounds
+from observers.component import Component, Port, bounds
 
 LICENSES = ("observer-fmus.txt", "fmi-headers.txt", "casadi.txt")
 
@@ -121,9 +121,9 @@ def _variables(component: Component) -> str:
 
 def _row(entry: Entry) -> str:
     port = entry.port
-    start = "" if entry.initial == "calculated" else f"{port.start:g}"
+    start = "" if entry.initial == "calculated" else _literal(port, port.start)
     low, high = bounds(port)
-    limits = "" if math.isinf(low) and math.isinf(high) else f"[{low:g}, {high:g}]"
+    limits = "" if math.isinf(low) and math.isinf(high) else f"[{_literal(port, low)}, {_literal(port, high)}]"
     description = escape(port.description)
     if port.enumeration is not None:
         items = "; ".join(f"{value}: {item}" for value, (item, _) in enumerate(port.enumeration.items, start=1))
@@ -134,6 +134,13 @@ def _row(entry: Entry) -> str:
         f"<tr><td><code>{escape(port.name)}</code></td><td>{entry.causality}</td><td>{kind}</td><td>{escape(unit)}</td>"
         f"<td class=n>{start}</td><td class=n>{limits}</td><td>{description}</td></tr>"
     )
+
+
+def _literal(port: Port, value: float) -> str:
+    """A value as the variable's type has it; a whole number with all its digits."""
+    if port.kind == "Boolean":
+        return "true" if value else "false"
+    return f"{value:g}" if port.kind == "Real" else f"{value:.0f}"
 
 
 def _time(component: Component) -> str:

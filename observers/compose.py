@@ -36,7 +36,7 @@ def compose(
         name: the component's name; `<observer>_<feedback>` if absent.
 
     Raises:
-        ValueError: the observer has no output that an input of the feedback asks for; units differ; the feedback has states; the
+        ValueError: the observer has no output that an input of the feedback asks for; types or units differ; the feedback has states; the
             observer has no sample time, or one that can be 0; an output of the observer depends directly on an input.
     """
     where = f"compose '{observer.name}' with '{feedback.name}'"
@@ -47,12 +47,13 @@ def compose(
     _check_feedthrough(where, observer, driven)
     for goal in observer.inputs:
         if goal.name in driven:
-            _check_units(where, feedback.outputs[driven[goal.name]], goal, f"the observer takes '{goal.name}'")
+            _check_fit(where, feedback.outputs[driven[goal.name]], goal, f"the observer takes '{goal.name}'")
     free = tuple(port for port in observer.inputs if port.name not in driven)
     n_p = len(observer.parameters)
     parameters = (*observer.parameters, *(replace(port, name=f"feedback.{port.name}") for port in feedback.parameters))
 
-    state = Layout(observer=observer.n_z, held=len(feedback.outputs), next=1)  # next: the sample instant to come [s]
+    # The observer comes last: its state may end with why its motion failed. next: the sample instant to come [s].
+    state = Layout(held=len(feedback.outputs), next=1, observer=observer.n_z)
     z, u, p = ca.MX.sym("z", state.total), ca.MX.sym("u", len(free)), ca.MX.sym("p", len(parameters))
     t, h = ca.MX.sym("t"), ca.MX.sym("h")
     s, own, settings = state.unpack(z), p[:n_p], p[n_p:]
@@ -74,9 +75,9 @@ def compose(
         observer,
         name=name or f"{observer.name}_{feedback.name}",
         description=f"{observer.description}, with the feedback {feedback.name} ({feedback.description})",
-        start=ca.Function("start", [p, t], [ca.vertcat(observer.start(own, t), ca.DM.zeros(len(driven)), t)]),
-        flow=ca.Function("flow", [z, u, p, t, h], [ca.vertcat(flown, s.held, s.next)]),
-        jump=ca.Function("jump", [z, u, p, t], [ca.vertcat(jumped, fresh, t + period)]),
+        start=ca.Function("start", [p, t], [ca.vertcat(ca.DM.zeros(len(driven)), t, observer.start(own, t))]),
+        flow=ca.Function("flow", [z, u, p, t, h], [ca.vertcat(s.held, s.next, flown)]),
+        jump=ca.Function("jump", [z, u, p, t], [ca.densify(ca.vertcat(fresh, t + period, jumped))]),
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(y, control)]),
         inputs=free,
         parameters=parameters,
@@ -94,12 +95,14 @@ def _source(where: str, observer: Component, source: str, port: Port) -> int:
     if wanted not in places:
         known = ", ".join(name for name in places if name.startswith(f"{source}.")) or "none"
         raise ValueError(f"{where}: the feedback reads '{wanted}', which the observer does not put out; known: {known}")
-    _check_units(where, observer.outputs[places[wanted]], port, f"the feedback reads '{port.name}'")
+    _check_fit(where, observer.outputs[places[wanted]], port, f"the feedback reads '{port.name}'")
     return places[wanted]
 
 
-def _check_units(where: str, source: Port, goal: Port, taking: str) -> None:
-    """As between FMUs: nothing converts, and a dimensionless end fits any."""
+def _check_fit(where: str, source: Port, goal: Port, taking: str) -> None:
+    """As between FMUs: types agree, nothing converts units, and a dimensionless end fits any."""
+    if source.kind != goal.kind:
+        raise ValueError(f"{where}: '{source.name}' is of type {source.kind}, but {taking} as {goal.kind}")
     if "1" not in (source.unit, goal.unit) and source.unit != goal.unit:
         raise ValueError(f"{where}: '{source.name}' is in {source.unit}, but {taking} in {goal.unit}")
 

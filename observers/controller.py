@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 from observers.component import Component, Port
-from observers.model import ModelError, Names, Variable
+from observers.model import ModelError, Names, Variable, column_of, listed
 
 
 def controller(
@@ -32,27 +32,26 @@ def controller(
         stop_time, step_size: the default experiment [s].
 
     Raises:
-        ModelError: an unknown name in `law`, or another number of entries than outputs.
+        ModelError: `law` fails, knows a name that is none, or gives another number of scalars than there are outputs.
     """
     groups = {"input": inputs, "parameter": parameters}
     x, p = ({v.name: ca.SX.sym(v.name) for v in variables} for variables in groups.values())
     t, h, z = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX(0, 1)
+    where = f"controller '{name}'"
     try:
-        values = list(law(Names("input", x), Names("parameter", p), t))
+        values = listed(law(Names("input", x), Names("parameter", p), t))
     except ModelError as error:
-        raise ModelError(f"controller '{name}': {error}") from None
-    if len(values) != len(outputs):
-        names = ", ".join(v.name for v in outputs)
-        raise ModelError(
-            f"controller '{name}': the law gives {len(values)} values for {len(outputs)} outputs ({names})"
-        )
+        raise ModelError(f"{where}: {error}") from None
+    except Exception as error:  # a user's law can fail in any way; the message says where
+        raise ModelError(f"{where}: {type(error).__name__}: {error}") from error
+    made = column_of(f"{where}, law", values, outputs)
     u, q = ca.vertcat(ca.SX(0, 1), *x.values()), ca.vertcat(ca.SX(0, 1), *p.values())
     return Component(
         name=name,
         description=description or f"static controller {name}",
         start=ca.Function("start", [q, t], [z]),
         flow=ca.Function("flow", [z, u, q, t, h], [z]),
-        output=ca.Function("output", [z, u, q, t], [ca.densify(ca.vertcat(*values))]),
+        output=ca.Function("output", [z, u, q, t], [ca.densify(made)]),
         inputs=tuple(_port(v, "continuous") for v in inputs),
         parameters=tuple(_port(v, "tunable") for v in parameters),
         outputs=tuple(_port(v, "continuous") for v in outputs),

@@ -165,22 +165,12 @@ class Model:
 
         def evaluate(what: str, equations: Callable[..., Iterable[Any]], variables: Sequence[Variable]) -> ca.SX:
             try:
-                values = list(equations(*arguments))
+                values = listed(equations(*arguments))
             except ModelError as error:
                 raise ModelError(f"model '{self.name}', {what}: {error}") from None
             except Exception as error:  # a user's equations can fail in any way; the message says where
                 raise ModelError(f"model '{self.name}', {what}: {type(error).__name__}: {error}") from error
-            if len(values) != len(variables):
-                names = ", ".join(v.name for v in variables)
-                raise ModelError(
-                    f"model '{self.name}', {what}: {len(values)} expressions for {len(variables)} variables ({names})"
-                )
-            for variable, value in zip(variables, values, strict=True):
-                if not isinstance(value, (int, float, ca.DM, ca.SX)) or ca.SX(value).shape != (1, 1):
-                    raise ModelError(
-                        f"model '{self.name}', {what}: the expression for '{variable.name}' is not a scalar"
-                    )
-            return ca.vertcat(*[ca.SX(v) for v in values]) if values else ca.SX(0, 1)
+            return column_of(f"model '{self.name}', {what}", values, variables)
 
         def column(group: dict[str, ca.SX]) -> ca.SX:
             return ca.vertcat(*group.values()) if group else ca.SX(0, 1)
@@ -239,12 +229,37 @@ class Model:
         return "\n".join(lines)
 
 
+def listed(returned: Any) -> list[Any]:
+    """The expressions that a user's function returned.
+
+    Raises:
+        ModelError: it is one by itself.
+    """
+    if isinstance(returned, (int, float, ca.DM, ca.SX)):
+        raise ModelError("a list of expressions is wanted, [...], not one by itself")
+    return list(returned)
+
+
+def column_of(where: str, values: Sequence[Any], variables: Sequence[Variable]) -> ca.SX:
+    """The expressions `values`, one for each of `variables`, as a column.
+
+    Raises:
+        ModelError: there are more or fewer, or one is no scalar; the message begins with `where`.
+    """
+    if len(values) != len(variables):
+        names = ", ".join(v.name for v in variables)
+        raise ModelError(f"{where}: {len(values)} expressions for {len(variables)} variables ({names})")
+    for variable, value in zip(variables, values, strict=True):
+        if not isinstance(value, (int, float, ca.DM, ca.SX)) or ca.SX(value).shape != (1, 1):
+            raise ModelError(f"{where}: the expression for '{variable.name}' is not a scalar")
+    return ca.vertcat(*[ca.SX(v) for v in values]) if values else ca.SX(0, 1)
+
+
 def refuse(model: Model, method: str, *features: str) -> None:
     """Raise a ModelError that names the first of `features` (Model attributes) which the model has and `method` cannot treat."""
     for feature in features:
         variables = getattr(model, feature)
         if variables:
             names = ", ".join(v.name for v in variables)
-            raise ModelError(
-                f"{method}: model '{model.name}' has {feature.replace('_', ' ')} ({names}), which this method does not treat"
-            )
+            what = "algebraic variables" if feature == "algebraic" else feature.replace("_", " ")
+            raise ModelError(f"{method}: model '{model.name}' has {what} ({names}), which this method does not treat")

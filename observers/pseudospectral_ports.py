@@ -75,7 +75,7 @@ TUNING = (
     Port(
         "tuning.deviation_limit",
         "estimated standard deviation, in units of nominal values, above which the status is uncertain",
-        start=1.0,
+        start=0.3,
         min=0.0,
         variability="tunable",
     ),

@@ -188,7 +188,9 @@ def test_nonlinear_outputs_two_unknowns_and_an_input_inside_the_nonlinearity_tak
 def test_what_the_window_leaves_open_the_past_decides():
     """A window of two samples determines neither three states nor a disturbance: with the arrival cost that is no reason to give up."""
     y, u, valid = record(30, 0.0)
-    run = Instance(observer(2, 10, 1, disturbed=True), {"tuning.conditioning_limit": 1.0})
+    run = Instance(
+        observer(2, 10, 1, disturbed=True), {"tuning.conditioning_limit": 1.0, "tuning.deviation_limit": 1e30}
+    )
     statuses = set()
     for k in range(30):
         told(run, y[k], u[k], valid[k], k)

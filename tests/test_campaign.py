@@ -216,9 +216,14 @@ def test_a_system_without_an_estimate_is_refused(built: Build, tmp_path: Path) -
 
 def test_a_damaged_record_of_a_run_is_named(system: Path, tmp_path: Path) -> None:
     campaign(system, tmp_path, runs=1, vary=VARY, workers=1)
-    (tmp_path / "runs" / "000000.npz").write_bytes(b"PK damaged")
-    with pytest.raises(SystemFileError, match=r"000000\.npz: not the record of a run"):
-        campaign(system, tmp_path, runs=1, vary=VARY, workers=1)
+    record = tmp_path / "runs" / "000000.npz"
+    whole = record.read_bytes()
+    middle = len(whole) // 4
+    flipped = whole[:middle] + bytes(byte ^ 255 for byte in whole[middle : middle + 40]) + whole[middle + 40 :]
+    for damaged in (b"PK damaged", b"", whole[: len(whole) // 2], flipped):
+        record.write_bytes(damaged)
+        with pytest.raises(SystemFileError, match=r"000000\.npz: not the record of a run"):
+            campaign(system, tmp_path, runs=1, vary=VARY, workers=1)
 
 
 def test_draws_depend_on_seed_and_run_only_and_fill_their_range(system: Path, tmp_path: Path) -> None:

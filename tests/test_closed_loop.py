@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,14 +12,21 @@ import fmpy
 import numpy as np
 import pytest
 
+from cosim.estimates import pairs
+from cosim.master import run as master
 from cosim.results import Result
+from cosim.slave import RunError
+from cosim.system import Element, System
+from fmu_src import export
 from observers.component import Component
 from observers.compose import compose
 from observers.controller import controller
 from observers.instance import Instance
 from observers.model import ModelError, Variable
+from observers.ukf import ukf
 from reference_models import gong_2007
 from reference_models.closed_loop import MOTOR_GAINS
+from reference_models.duffing import DUFFING
 from reference_models.motor import MOTOR
 from reference_models.plant import plant
 from toys import feedthrough_toy, growing_toy, sampled_toy
@@ -48,6 +56,13 @@ def test_every_duffing_loop_settles_at_the_origin(example: Example, element: str
     result = example("closed_loop_duffing")
     assert size(result, element)[0] > 2
     assert size(result, element)[result.time >= 20].max() < bound
+
+
+def test_each_observer_is_rated_against_the_plant_in_its_own_loop(example: Example) -> None:
+    found = {(pair.estimate, pair.truth) for pair in pairs(example("closed_loop_duffing"))}
+    states = ("x1", "x2", "theta")
+    loops = (("observer", "plant"), ("observer_ukf", "plant_ukf"))
+    assert found == {(f"{o}.estimate.{v}", f"{plant}.x.{v}") for o, plant in loops for v in states}
 
 
 def test_without_control_the_oscillator_stays_away_from_the_origin() -> None:
@@ -145,6 +160,36 @@ def test_the_composed_component_keeps_what_the_observer_has_and_drives_its_known
         alone.step(0.1 * k, 0.1)
 
 
+def test_a_composed_dae_plant_says_where_its_branch_ends_as_alone(tmp_path: Path) -> None:
+    alone = gong_2007.rlc()
+    sampled = replace(
+        alone,
+        parameters=tuple(
+            replace(port, start=0.2, min=1e-6) if port.name == "sensor.sample_time" else port
+            for port in alone.parameters
+        ),
+    )
+    flux = Variable("x2", unit="Wb")
+    shown = controller("shown", inputs=[flux], outputs=[Variable("u")], law=lambda x, p, t: [x.x2])
+    whole = compose(sampled, shown, source="x")
+    words = []
+    for component in (alone, whole):
+        run = Instance(component)
+        with pytest.raises(ValueError, match=r"do not determine 'x3' \(singular.* at t = 4\.09") as refused:
+            for k in range(30):
+                run.step(0.2 * k, 0.2)
+        words.append(str(refused.value).partition(": ")[2])
+    assert words[0] == words[1]
+    system = System("loop", {"plant": Element(export(whole, tmp_path))}, stop=6.0, step=0.2)
+    with pytest.raises(RunError, match=re.escape(words[0])):
+        master(system)
+
+
+def ukf_of_duffing() -> Component:
+    noise = {"x1": 1e-4, "x2": 1e-4, "theta": 0.03}
+    return ukf(DUFFING, sample_time=0.1, process_noise=noise, measurement_noise={"y": 0.006}, guess=gong_2007.GUESS)
+
+
 def _seeing(component: Component) -> Component:
     """The toy with an output that shows its input `rate` at once."""
     z, u, p, t = ca.SX.sym("z", 4), ca.SX.sym("u", 2), ca.SX.sym("p", 6), ca.SX.sym("t")
@@ -183,7 +228,33 @@ def test_what_does_not_fit_together_is_refused_by_name(observer: Component, feed
 
 
 def test_a_law_of_the_wrong_size_or_with_an_unknown_name_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"controller 'pull': the law gives 2 values for 1 outputs \(rate\)"):
+    with pytest.raises(ModelError, match=r"controller 'pull', law: 2 expressions for 1 variables \(rate\)"):
         controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: [x.level, 0])
     with pytest.raises(ModelError, match="controller 'pull': there is no input 'height'; known: level"):
         controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: [x.height])
+    with pytest.raises(ModelError, match="controller 'pull', law: the expression for 'rate' is not a scalar"):
+        controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: [ca.vertcat(x.level, x.level)])
+    with pytest.raises(ModelError, match="controller 'pull': a list of expressions is wanted"):
+        controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: x.level)
+
+
+def test_a_constant_feedback_drives_a_known_input() -> None:
+    still = controller("still", inputs=[], outputs=[RATE], law=lambda x, p, t: [0])
+    observer = ukf_of_duffing()
+    off = controller("off", inputs=[], outputs=[Variable("u", unit="m/s2")], law=lambda x, p, t: [0])
+    assert [port.name for port in compose(sampled_toy(), still).inputs] == ["y"]
+    run, alone = Instance(compose(observer, off)), Instance(observer)
+    for k in range(20):
+        for each in (run, alone):
+            each.set("y", np.sin(k))
+            each.set("measurement_valid.y", k % 3 > 0)
+            each.step(0.1 * k, 0.1)
+        assert run.get("estimate.theta") == pytest.approx(alone.get("estimate.theta"), abs=1e-12)
+
+
+def test_a_truth_value_is_no_number_to_drive() -> None:
+    switch = controller("switch", inputs=[], outputs=[Variable("measurement_valid.y")], law=lambda x, p, t: [1])
+    with pytest.raises(
+        ValueError, match=r"'measurement_valid.y' is of type Real, but the observer takes .* as Boolean"
+    ):
+        compose(ukf_of_duffing(), switch)

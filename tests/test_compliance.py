@@ -370,6 +370,7 @@ def other_version(path: Path) -> None:
     ("write", "words"),
     [
         (lambda path: None, "there is no such file"),
+        (lambda path: path.mkdir(), "is a folder"),
         (lambda path: path.write_text("no zip"), "not an FMU: no sound zip file"),
         (lambda path: zipfile.ZipFile(path, "w").close(), "there is no modelDescription.xml in it"),
         (other_version, "is of FMI version 3.0; FMI 2.0 is checked here"),
@@ -382,11 +383,12 @@ def test_what_cannot_be_checked_is_refused_in_one_line(
     write(path)
     with pytest.raises(NotAnFmu, match=re.escape(words)):
         open_package(path)
-    result = command(path)
+    result = command(path, "--junit", tmp_path / "out.xml")
     assert result.returncode == 2
-    assert result.stderr.strip().splitlines() == [
-        str(line) for line in result.stderr.strip().splitlines() if words in line
-    ]
+    (line,) = result.stderr.strip().splitlines()
+    assert words in line
+    (suite,) = JUnitXml.fromfile(str(tmp_path / "out.xml"))
+    assert suite.name == "x.fmu" and (suite.tests, suite.errors, suite.failures) == (1, 1, 0)
 
 
 def test_the_documentation_has_the_rules_as_they_are() -> None:

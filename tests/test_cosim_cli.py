@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from cosim.__main__ import app
-from cosim.estimates import pairs
+from cosim.estimates import paired, pairs
 from cosim.figures import POINTS, figures
 from cosim.master import run
 from cosim.report import Table, write_report
@@ -142,6 +142,26 @@ def test_estimates_are_paired_with_truths_by_name(example: Path) -> None:
     np.testing.assert_array_equal(
         pairs(result)[0].error(result), np.abs(result["observer.estimate.x1"] - result["plant.x.x1"])
     )
+
+
+def test_an_estimate_is_paired_with_the_plant_that_it_observes_only_and_algebraic_variables_too() -> None:
+    names = [
+        "a.x.v",
+        "a.z.w",
+        "b.x.v",
+        "b.z.w",
+        "one.estimate.v",
+        "one.estimate.w",
+        "two.estimate.v",
+        "alone.estimate.v",
+    ]
+    upstream = {"a": {"one"}, "b": set(), "one": {"a", "one"}, "two": {"filter", "b"}, "alone": set()}
+    found = paired(names, {element: frozenset(sources) for element, sources in upstream.items()})
+    assert [(pair.estimate, pair.truth) for pair in found] == [
+        ("one.estimate.v", "a.x.v"),
+        ("one.estimate.w", "a.z.w"),
+        ("two.estimate.v", "b.x.v"),
+    ]
 
 
 def test_the_figures_show_states_errors_status_and_times(example: Path) -> None:

@@ -40,6 +40,7 @@ def test_a_model_prints_its_dimensions_names_and_units():
         (dict(ode=lambda x, u, p, t: [x.rate]), r"ode: 1 expressions for 2 variables \(angle, rate\)"),
         (dict(ode=lambda x, u, p, t: [x.rate, x.speed]), "there is no state 'speed'; known: angle, rate"),
         (dict(ode=lambda x, u, p, t: [x.rate, p.mass]), "there is no parameter 'mass'; known: g, friction"),
+        (dict(output=lambda x, u, p, t: x.angle), "output: a list of expressions is wanted"),
         (dict(output=lambda x, u, p, t: [x.angle, x.rate]), "output: 2 expressions for 1 variables"),
         (dict(output=lambda x, u, p, t: [u.torque]), "output 'y' depends on no state"),
         (dict(output=lambda x, u, p, t: [ca.vertcat(x.angle, x.rate)]), "the expression for 'y' is not a scalar"),
@@ -90,7 +91,7 @@ def test_a_method_refuses_what_it_does_not_treat_by_name():
         output=lambda x, z, u, p, t: [x.angle],
     )
     disturbed = pendulum(unknown_disturbances=[Variable("wind")])
-    with pytest.raises(ModelError, match=r"model 'pendulum' has algebraic \(z\)"):
+    with pytest.raises(ModelError, match=r"model 'pendulum' has algebraic variables \(z\)"):
         ukf(dae, sample_time=0.1)
     with pytest.raises(ModelError, match=r"has unknown disturbances \(wind\)"):
         pseudospectral(disturbed, sample_time=0.1)

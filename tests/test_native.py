@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 import subprocess
 import sys
 import zipfile
@@ -18,8 +17,9 @@ from elftools.elf.elffile import ELFFile
 from lxml import etree
 
 from fmu_src import PLATFORMS, ExportError, export, native
+from fmu_src.compliance.binaries import functions
 from fmu_src.sources import FMI_HEADERS
-from observers.component import Component
+from observers.component import Component, Port
 from toys import feedthrough_toy, growing_toy, sampled_toy
 
 ROOT = Path(__file__).parent.parent
@@ -28,15 +28,6 @@ Path_of = Callable[[str], Path]
 
 def library(folder: Path) -> Path:
     return next((folder / "binaries").glob("*/*"))
-
-
-def cosimulation_functions() -> set[str]:
-    """The names in FMI's own header, without those of its section for model exchange."""
-    header = (Path(fmpy.__file__).parent / "c-code" / "fmi2Functions.h").read_text()
-    declarations = header[header.index("Inquire version numbers of header files") :]
-    common, rest = declarations.split("Functions for FMI2 for Model Exchange")
-    cosimulation = rest.split("Functions for FMI2 for Co-Simulation")[1]
-    return set(re.findall(r"FMI2_Export \w+TYPE\s+(\w+);", common + cosimulation))
 
 
 def elf(path: str) -> tuple[set[str], set[str], set[tuple[int, ...]]]:
@@ -55,7 +46,7 @@ def elf(path: str) -> tuple[set[str], set[str], set[tuple[int, ...]]]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads an ELF file")
 def test_every_cosimulation_function_is_exported_and_nothing_else(unpacked: Path_of) -> None:
-    wanted = cosimulation_functions()
+    wanted = functions("CoSimulation")
     assert len(wanted) == 34
     for name in ("duffing", "growing_toy"):
         assert elf(library(unpacked(name)))[0] == wanted
@@ -114,6 +105,15 @@ def test_the_archive_holds_what_an_fmu_should(built: Path_of) -> None:
         page = archive.read("documentation/index.html").decode()
     assert "<svg" in page and "src=" not in page and "http://www.w3.org" in page
     assert all(port in page for port in ("model.theta_jump_time[1]", "sensor.noise_bound", "x.theta"))
+    assert "[0, 1048576]" in page  # of the seed
+
+
+def test_the_page_shows_truth_values_as_such(tmp_path: Path) -> None:
+    toy = sampled_toy()
+    flag = Port("valid", "counts y?", kind="Boolean", start=1.0, variability="discrete")
+    with zipfile.ZipFile(export(dataclasses.replace(toy, inputs=(toy.inputs[0], flag)), tmp_path)) as archive:
+        page = archive.read("documentation/index.html").decode()
+    assert "<td>Boolean</td><td class=n>true</td><td class=n></td><td>counts y?</td>" in page
 
 
 def test_the_page_of_a_driven_component_shows_plant_and_estimate(tmp_path: Path) -> None:
@@ -235,7 +235,7 @@ def test_one_fmu_holds_every_platform_and_the_sources_and_compiles_reproducibly(
         folder = Path(archive.extract("modelDescription.xml", tmp_path)).parent
         archive.extractall(folder)
     assert set(binaries) == set(PLATFORMS) == set(PROCESSORS)
-    wanted = cosimulation_functions()
+    wanted = functions("CoSimulation")
     for platform, name in binaries.items():
         assert Path(name).stem == "growing_toy"
         content = (folder / name).read_bytes()

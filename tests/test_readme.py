@@ -1,9 +1,11 @@
-"""The README's example runs as printed."""
+"""The README's example runs as printed; what the documentation lists is all there is."""
 
 import re
 from pathlib import Path
 
 import pytest
+
+from build_fmus import SYSTEMS
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
@@ -19,3 +21,9 @@ def test_every_file_that_the_readme_links_to_exists() -> None:
     assert links
     for target in links:
         assert (Path(__file__).parents[1] / target).exists(), target
+
+
+def test_the_documentation_lists_every_system() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "systems.md").read_text(encoding="utf-8")
+    rows = "\n".join(line for line in page.splitlines() if line.startswith("|"))
+    assert set(re.findall(r"`(\w+)\.ssp`", rows)) == set(SYSTEMS)

@@ -151,6 +151,40 @@ def test_with_validity_inputs_a_known_input_is_held_where_a_row_is_missing(tmp_p
     assert made.result["observer.diagnostics.rejected_samples"][-1] == 2
 
 
+@pytest.mark.parametrize(("yes", "no"), [("true", "false"), ("True", "FALSE"), ("1", "0"), ("1.0", "0.0")])
+def test_a_measurement_that_a_boolean_column_calls_invalid_is_as_good_as_missing(
+    yes: str, no: str, observer: Path, coupled: Record, tmp_path: Path
+) -> None:
+    y, found = coupled["plant.y"][:60], {}
+    for name, invalid, cells in (("flagged", no, "1e6"), ("missing", yes, "")):
+        rows = [
+            f"{k * 0.1},{cells},{invalid}" if 40 <= k < 45 else f"{k * 0.1},{float(y[k])!r},{yes}" for k in range(60)
+        ]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["time,y,measurement_valid.y", *rows]) + "\n")
+        found[name] = replay(observer, tmp_path / f"{name}.csv", overrides={"u": 0.0}).result
+    for variable in ("x1", "x2", "theta"):
+        column = f"observer.estimate.{variable}"
+        np.testing.assert_array_equal(found["flagged"][column], found["missing"][column])
+    assert np.abs(found["flagged"]["observer.estimate.x1"][:60] - coupled["plant.x.x1"][:60])[20:].max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        ("", "holds ''"),
+        ("2", "holds '2'"),
+        ("nan", "holds 'nan'"),
+        ("yes", "'yes' in column 'measurement_valid.y' is not a number"),
+    ],
+)
+def test_what_is_neither_true_nor_false_in_a_boolean_column_is_refused(
+    cell: str, message: str, observer: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "log.csv").write_text(f"time,y,measurement_valid.y\n0,1,true\n0.1,1,{cell}\n")
+    line = refused(cosim("replay", observer, tmp_path / "log.csv", "--set", "u=0", "--out", tmp_path / "out"))
+    assert "line 3" in line and message in line
+
+
 def test_irregular_times_take_the_nearest_row_of_each_instant(tmp_path: Path) -> None:
     time = np.array([5.0, 5.13, 5.185, 5.22, 5.31, 5.52])
     log = read_log(written(tmp_path / "log.csv", time, y=time))

@@ -27,20 +27,21 @@ def main(
 
     One line for each finding. Exit code 0: none; 1: some; 2: a file could not be checked.
     """
-    reports, refused = [], False
+    reports: list[Report] = []
+    refused: dict[Path, str] = {}
     for path in fmus:
         try:
             with _ERRORS.status(escape(str(path))) as status:
                 report = check(path, lambda rule: status.update(escape(f"{path}: {rule}")))  # noqa: B023  # called here only
         except NotAnFmu as error:
             _ERRORS.print(str(error), style="red", markup=False)
-            refused = True
+            refused[path] = str(error)
             continue
         reports.append(report)
         _show(report)
     if junit is not None:
         try:
-            write_junit(reports, junit)
+            write_junit(reports, refused, junit)
         except OSError as error:
             _fail(f"{junit}: cannot be written: {error.strerror or error}")
     if refused:

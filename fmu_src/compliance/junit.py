@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
-from junitparser import Failure, JUnitXml, TestCase, TestSuite
+from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
 
 from fmu_src.compliance.finding import Report
 from fmu_src.compliance.rules import RULES
 
 
-def write_junit(reports: list[Report], path: Path) -> None:
-    """Write the reports to `path`.
+def write_junit(reports: list[Report], refused: Mapping[Path, str], path: Path) -> None:
+    """Write the reports to `path`, and why the files in `refused` could not be checked, each as an error.
 
     Raises:
         OSError: it cannot be written.
@@ -27,5 +28,11 @@ def write_junit(reports: list[Report], path: Path) -> None:
             suite.add_testcase(case)
         for number, note in enumerate(report.notes, start=1):
             suite.add_property(f"note {number}", note)
+        document.add_testsuite(suite)
+    for file, reason in refused.items():
+        case = TestCase("is an FMU of FMI 2.0", classname=file.stem)
+        case.result = [Error(reason)]
+        suite = TestSuite(file.name)
+        suite.add_testcase(case)
         document.add_testsuite(suite)
     document.write(str(path), pretty=True)

@@ -38,8 +38,10 @@ def open_package(path: Path) -> Package:
     """The FMU at `path`.
 
     Raises:
-        NotAnFmu: no such file, no zip file, no readable modelDescription.xml, another FMI version than 2.0.
+        NotAnFmu: no such file, a folder, no zip file, no readable modelDescription.xml, another FMI version than 2.0.
     """
+    if path.is_dir():
+        raise NotAnFmu(f"{path}: is a folder: an FMU is checked as it is handed on, as one file")
     if not path.is_file():
         raise NotAnFmu(f"{path}: there is no such file")
     try:
