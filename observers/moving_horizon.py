@@ -182,7 +182,8 @@ def jump(method: Method) -> ca.Function:
     found: Any = solve(due, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
     if method.constraints.tube:
         # Bounds that contradict each other have gone wrong somewhere: all of them start again from y +- b.
-        contradiction = ca.logic_and(due, ca.logic_not(found[7] <= VIOLATED))
+        *_, slack, _ = found
+        contradiction = ca.logic_and(due, ca.logic_not(slack <= VIOLATED))
         bounds = bounded_noise.released(method, q, bounds, compared, y, contradiction)
         given |= {"lower": bounds["lower"], "upper": bounds["upper"]}
         again = solve(contradiction, V, Z, unknown, *limits, *[given[name] for name in problem_2.given])
@@ -190,9 +191,8 @@ def jump(method: Method) -> ca.Function:
     V_new, Z_new, unknown_new, size, cost_after, conditioning, spread, slack, iterations = found
     sound = ca.sumsqr(ca.vertcat(V_new, Z_new, unknown_new)) < HUGE
     converged = ca.logic_and(ca.logic_and(due, sound), size < q.tolerance**2)
-    determined = (
-        1 if method.arrival else conditioning > q.conditioning_limit
-    )  # what the window leaves open the past decides
+    # With an arrival cost the past decides what the window leaves open.
+    determined = 1 if method.arrival else conditioning > q.conditioning_limit
     accepted = ca.logic_and(converged, determined)
     failed = ca.logic_and(due, ca.logic_not(converged))
     kept = ca.logic_and(wanted, ca.logic_not(due))

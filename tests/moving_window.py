@@ -123,3 +123,17 @@ def coupled(model, observer, samples, Ts, inputs=lambda t: 0.0, truth=None, gues
         o.step(t, Ts)
         errors.append(np.abs([o.get(f"filtered.{name}") for name in names] - true))
     return np.array(errors), o
+
+
+def noisy_rows(observer):
+    """All outputs after each of 20 samples of the nonlinear model with noise on both measurements (20 x n)."""
+    run, true, rng, rows = Instance(observer), Instance(plant(NONLINEAR)), np.random.default_rng(2), []
+    for k in range(20):
+        for one in (run, true):
+            one.set("u", np.sin(0.3 * k))
+        for name in ("y1", "y2"):
+            run.set(name, true.get(name) + 0.01 * rng.normal())
+        true.step(0.1 * k, 0.1)
+        run.step(0.1 * k, 0.1)
+        rows.append(run.outputs())
+    return np.array(rows)

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from moving_window import NONLINEAR, A, B, coupled, linear
+from moving_window import NONLINEAR, A, B, coupled, linear, noisy_rows
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
@@ -71,19 +71,7 @@ def test_the_tiled_step_and_the_straight_line_step_are_the_same_algorithm(monkey
     for small in (least_squares.SMALL, 0):
         monkeypatch.setattr(least_squares, "SMALL", small)
         observer = pseudospectral(NONLINEAR, sample_time=0.1, N=7, L=6)
-        run, true = Instance(observer), Instance(plant(NONLINEAR))
-        rng = np.random.default_rng(2)
-        rows = []
-        for k in range(20):
-            u = np.sin(0.3 * k)
-            for one in (run, true):
-                one.set("u", u)
-            for name in ("y1", "y2"):
-                run.set(name, true.get(name) + 0.01 * rng.normal())
-            true.step(0.1 * k, 0.1)
-            run.step(0.1 * k, 0.1)
-            rows.append(run.outputs())
-        runs.append(np.array(rows))
+        runs.append(noisy_rows(observer))
     np.testing.assert_allclose(runs[0], runs[1], rtol=1e-6, atol=1e-8)
 
 

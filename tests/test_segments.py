@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from conftest import COMPONENTS, Slave
-from moving_window import NONLINEAR, coupled, linear, sampled
+from moving_window import NONLINEAR, coupled, linear, noisy_rows, sampled
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.numerics import least_squares as problem
@@ -177,16 +177,7 @@ def test_the_tiled_step_of_a_segment_is_the_straight_line_one(monkeypatch, segme
         monkeypatch.setattr(problem, "SMALL", small)
         monkeypatch.setattr(problem, "SMALL_POINTS", 100 * small)
         observer = pseudospectral(NONLINEAR, sample_time=0.1, N=N, L=6, segments=segments)
-        run, true, rng, rows = Instance(observer), Instance(plant(NONLINEAR)), np.random.default_rng(2), []
-        for k in range(20):
-            for one in (run, true):
-                one.set("u", np.sin(0.3 * k))
-            for name in ("y1", "y2"):
-                run.set(name, true.get(name) + 0.01 * rng.normal())
-            true.step(0.1 * k, 0.1)
-            run.step(0.1 * k, 0.1)
-            rows.append(run.outputs())
-        runs.append(np.array(rows))
+        runs.append(noisy_rows(observer))
     np.testing.assert_allclose(runs[0], runs[1], rtol=1e-6, atol=1e-8)
 
 

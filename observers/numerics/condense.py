@@ -81,7 +81,7 @@ def linearise(
     """The problem at (V, Z, s) with weights w of the measured points; segments with `active` 0 stay as they are and weigh nothing."""
     kind, n = type(V), 1 + problem.nx + problem.n_theta
     xs, theta = s[: problem.nx], s[problem.nx :]
-    RG = kind(ca.DM(np.hstack([np.zeros((problem.nx, 1)), np.eye(problem.nx, n - 1)])))
+    RG = _at_start(problem, kind)
     normal = kind(ca.DM.zeros(n, n))
     parts: dict[str, list[Any]] = {name: [] for name in ("sol", "Z", "r", "M", "X", "G")}
     first = _segment(problem, 0, kind)
@@ -103,8 +103,7 @@ def first_sample(problem: LeastSquares) -> ca.Function:
     V, Z, s, data, p, _ = symbols(problem, kind)
     U = kind.sym("U", problem.inputs(problem.count - 1).stop)
     v, z = _segments(problem, V, Z)[0]
-    xs, theta, n = s[: problem.nx], s[problem.nx :], 1 + len(problem.scale)
-    RG = kind(ca.DM(np.hstack([np.zeros((problem.nx, 1)), np.eye(problem.nx, n - 1)])))
+    xs, theta, RG = s[: problem.nx], s[problem.nx :], _at_start(problem, kind)
     known = problem.data(0).unpack(data[problem.data_of(0)])
     sol, _ = _condense(problem, kind, xs, RG, v, z, theta, known, p)
     times = np.array([problem.segment.sample_time])
@@ -113,6 +112,11 @@ def first_sample(problem: LeastSquares) -> ca.Function:
     forced = ca.mtimes(kind(ca.DM(Xi)), U[problem.inputs(0)]) if Xi.any() else kind(ca.DM.zeros(problem.nx))
     x = _affine(kind, Ph, xs, Ps, v, forced)
     return ca.Function("first_sample", [V, Z, s, data, p, U], [x, _sensitivity(kind, Ph, Ps, RG, sol)[:, 1:]])
+
+
+def _at_start(problem: LeastSquares, kind: Any) -> Any:
+    """RG at the window's start: [0 I 0]."""
+    return kind(ca.DM(np.hstack([np.zeros((problem.nx, 1)), np.eye(problem.nx, len(problem.scale))])))
 
 
 def _segments(problem: LeastSquares, V: Any, Z: Any) -> list[tuple[Any, Any]]:
@@ -131,7 +135,7 @@ def _if_active(function: ca.Function) -> ca.Function:
 def _residual(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     """residual(xs, V, Z, theta, data, p, y) -> h - y at the points of a first (j = 0) or later segment."""
     xs, _, V, Z, theta, data, p, y, _ = _segment_symbols(problem, j, kind)
-    rows = _measured(problem, j, kind, xs, None, V, Z, theta, problem.data(j).unpack(data), p, y, None)
+    rows = _measured(problem, j, xs, None, V, Z, theta, problem.data(j).unpack(data), p, y, None)
     return ca.Function(f"residual_{j}", [xs, V, Z, theta, data, p, y], [ca.vertcat(*[r for r, _ in rows])])
 
 
@@ -147,7 +151,7 @@ def _segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     s, n = problem.segment, RG.shape[1]
     sol, Z_new = _condense(problem, kind, xs, RG, V, Z, theta, known, p)
     normal, start = kind(ca.DM.zeros(n, n)), 0
-    rows = _measured(problem, j, kind, xs, RG, V, Z, theta, known, p, y, sol)
+    rows = _measured(problem, j, xs, RG, V, Z, theta, known, p, y, sol)
     for r, M in rows:
         normal = normal + groups.normal(M.shape[0], n)(r, M, w[start : start + M.shape[0]])
         start += M.shape[0]
@@ -223,7 +227,6 @@ def _condense(
 def _measured(
     problem: LeastSquares,
     j: int,
-    kind: Any,
     xs: Any,
     RG: Any,
     V: Any,

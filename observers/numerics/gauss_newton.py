@@ -91,7 +91,7 @@ def newton_step(solve: Solve) -> ca.Function:
         normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
     step, conditioning, cost, spread = _free(tuple(problem.scale))(normal, g["lam"])
     if solve.arrival:
-        conditioning = _free(tuple(problem.scale))(at.normal, g["lam"])[1]
+        conditioning = _conditioning(tuple(problem.scale))(at.normal, g["lam"])
     slack: Any = 0
     if solve.constraints.any:
         # A linear objective goes to and fro between two corners where the edge between them is curved: then the step is kept short.
@@ -151,6 +151,13 @@ def _free(scale: tuple[float, ...]) -> ca.Function:
         return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), spread
 
     return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
+
+
+def _conditioning(scale: tuple[float, ...]) -> ca.Function:
+    """That of `_free` alone."""
+    reduced = _free(scale)
+    full, lam = ca.SX.sym("full", len(scale) + 1, len(scale) + 1), ca.SX.sym("lam")
+    return ca.Function("conditioning", [full, lam], [reduced(full, lam)[1]])
 
 
 def _constrained(
