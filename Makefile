@@ -21,6 +21,7 @@ test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m pytest $(MARKED)
 
 bench: setup ## print timings, side by side with what one would use instead

@@ -1,5 +1,7 @@
 """Builds the catalogue: every FMU into `fmus/`, every system (.ssp) into `systems/`; or the FMUs of a user's own model.
 
+The same as `observer-fmus build`:
+
 python build_fmus.py                                   everything, for this machine's platform
 python build_fmus.py --only duffing_pseudospectral     one FMU, or one system with the FMUs that it needs
 python build_fmus.py --platforms all                   one file for Linux, Windows and macOS
@@ -9,22 +11,15 @@ python build_fmus.py --target python                   PythonFMUs: for functions
 
 from __future__ import annotations
 
-import os
 import runpy
 import sys
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, NoReturn
 
-import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-from cosim.ssp import write_ssp
-from cosim.system import Element, System
-from fmu_src import ExportError, export
+from cosim.system import Element, System, write_ssp
+from fmu_src import export
 from observers.component import Component
 from reference_models import (
     calvillo_alamir,
@@ -103,10 +98,14 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
         raise ValueError(
             f"{path} defines no Component at module level, such as observer = pseudospectral(model, sample_time=0.1)"
         )
-    return {name: (lambda made=component: made, None) for name, component in found.items()}
+    return {name: (_maker(component), None) for name, component in found.items()}
 
 
-def build(
+def _maker(component: Component) -> Callable[[], Component]:
+    return lambda: component
+
+
+def build_all(
     work: Build,
     out: Path,
     platforms: Sequence[str],
@@ -131,53 +130,10 @@ def build(
     return written
 
 
-def main(
-    only: Annotated[
-        list[str] | None, typer.Option(help="An FMU or a system of the catalogue; can be given several times.")
-    ] = None,
-    platforms: Annotated[
-        str, typer.Option(help="host, all, or a list: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
-    ] = "host",
-    out: Annotated[Path, typer.Option(help="Folder for the FMUs; the systems go into 'systems' beside it.")] = Path(
-        "fmus"
-    ),
-    target: Annotated[
-        str, typer.Option(help="native: C without dependencies; python: a PythonFMU, which needs Python in the tool.")
-    ] = "native",
-    file: Annotated[Path | None, typer.Option(help="A Python file: builds the Components that it defines.")] = None,
-) -> None:
-    """Build the catalogue's FMUs and systems, or the FMUs of your own model."""
-    if file is not None and only:
-        _fail("--file and --only exclude each other")
-    try:
-        work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
-        columns = (
-            TextColumn("{task.description:<32}"),
-            BarColumn(),
-            TextColumn("{task.completed}/{task.total}"),
-            TimeElapsedColumn(),
-        )
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("", total=len(work.fmus) + len(work.systems))
-            written = build(
-                work,
-                out,
-                [name.strip() for name in platforms.split(",")],
-                lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
-                target,
-            )
-    except OSError as error:
-        _fail(f"cannot write to {out}: {error.strerror or error}")
-    except (ExportError, ValueError, KeyError) as error:
-        _fail(str(error.args[0]) if isinstance(error, KeyError) else str(error))
-    for path in written:
-        print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")
-
-
-def _fail(message: str) -> NoReturn:
-    Console(stderr=True).print(message, style="red", markup=False, highlight=False, soft_wrap=True)
-    sys.exit(2)
-
-
 if __name__ == "__main__":
-    typer.run(main)
+    # The words of the command line call the functions above, not the other way round: they are wanted here only.
+    import typer
+
+    from commands.build import build
+
+    typer.run(build)

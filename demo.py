@@ -14,7 +14,7 @@ from rich.table import Table as Printed
 
 from cosim.errors import SystemFileError
 from cosim.master import run
-from cosim.report import Table, write_report
+from cosim.report.page import Table, write_report
 from cosim.results import Result, write_csv
 
 OUT = Path("results/demo")

@@ -24,7 +24,7 @@ from benchmarks.motor import OBSERVERS, motor_ns
 from benchmarks.native import build_driver, unpack
 from benchmarks.structures import STRUCTURES, cost
 from cosim.errors import SystemFileError
-from cosim.slave import RunError
+from cosim.master.slave import RunError
 from fmu_src import ExportError
 
 FMU = Path("fmus/duffing_pseudospectral.fmu")

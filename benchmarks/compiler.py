@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from benchmarks.errors import BenchmarkError
-from fmu_src.native import FLAGS, cache_folder
+from fmu_src.native.compiler import FLAGS, cache_folder
 from fmu_src.platforms import PLATFORMS, resolve
 
 FMI_HEADERS = str(files("fmpy") / "c-code")

@@ -17,10 +17,10 @@ from rich.table import Table
 
 from benchmarks.native import Experiment, build_driver, drive, unpack
 from fmu_src import export
-from observers.calvillo_alamir import calvillo_alamir
 from observers.component import Component
-from observers.elementary import GRID, LQ, decompose
-from observers.elementary_iteration import elementary_solution
+from observers.elementary import calvillo_alamir
+from observers.elementary.iteration import elementary_solution
+from observers.elementary.problems import GRID, LQ, decompose
 from observers.instance import Instance
 from observers.model import Model, Variable
 from reference_models.calvillo_alamir import GUESS, SAMPLE_TIME, WEIGHTS_WITHOUT_V

@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.errors import BenchmarkError
 from observers.model import Model
-from observers.numerics import lgl
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
+from observers.pseudospectral.window import lgl
 
 # Warm start from the previous solution and its multipliers; what nobody reads is not computed. Each makes it faster.
 OPTIONS: dict[str, Any] = {

@@ -12,10 +12,10 @@ from rich.table import Table
 
 from benchmarks.native import Experiment, build_driver, drive, unpack
 from fmu_src import export
-from observers.chen_yen import chen_yen
 from observers.component import Component
-from observers.james_baras import james_baras
+from observers.least_squares import chen_yen
 from observers.model import Model, Variable
+from observers.riccati import james_baras
 
 SIZES = (2, 6, 12, 30)
 SAMPLE_TIME = 0.01  # [s]

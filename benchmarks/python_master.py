@@ -9,7 +9,7 @@ import numpy as np
 from fmpy.fmi2 import fmi2Warning
 
 from benchmarks.native import Experiment, Unpacked
-from cosim.slave import Slave
+from cosim.master.slave import Slave
 
 COUNTED = ("diagnostics.iterations", "diagnostics.solver_failures")
 

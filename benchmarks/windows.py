@@ -17,7 +17,7 @@ import reference_models
 from benchmarks.compiler import compile_c
 from benchmarks.native import Experiment, Unpacked, build_driver, drive, unpack
 from benchmarks.python_master import drive_from_python
-from cosim.log import read_log
+from cosim.replay.log import read_log
 from fmu_src import export
 from observers.component import Component
 from observers.instance import Instance

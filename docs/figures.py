@@ -15,7 +15,7 @@ from cosim.results import Result
 from demo import errors
 from observers.instance import Instance
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral_ports import STATUS
+from observers.pseudospectral.ports import STATUS
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 

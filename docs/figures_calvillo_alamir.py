@@ -14,8 +14,8 @@ from figures import BLUE, GREEN, GREY, ORANGE, save
 
 from cosim.master import run
 from cosim.results import Result
-from observers.elementary import decompose
-from observers.elementary_iteration import elementary_solution, iteration, mean_rates, symbols, tuning_layout
+from observers.elementary.iteration import elementary_solution, iteration, mean_rates, symbols, tuning_layout
+from observers.elementary.problems import decompose
 from observers.instance import Instance
 from observers.model import Model
 from reference_models.calvillo_alamir import SAMPLE_TIME, SIGNED_SAMPLE_TIME

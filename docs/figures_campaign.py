@@ -9,8 +9,8 @@ from figures import IMAGES
 from rich.console import Console
 from rich.table import Table
 
-from cosim.campaign import campaign
-from cosim.campaign_report import counts, figure, summary, svg
+from cosim.campaign.campaign import campaign
+from cosim.campaign.report import counts, figure, summary, svg
 
 VARY = {"plant.start.x1": (-1.0, 1.0), "plant.start.x2": (-1.0, 1.0), "plant.sensor.seed": None}
 

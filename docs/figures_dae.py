@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.table import Table
 
 from cosim.master import run
+from cosim.master.slave import RunError
 from cosim.results import Result
-from cosim.slave import RunError
 from cosim.system import Element, System
-from observers.pseudospectral_ports import STATUS
+from observers.pseudospectral.ports import STATUS
 
 SYSTEM = "systems/gong_example_6.ssp"
 SAMPLE_TIME, FINE = 0.2, 0.01  # [s]

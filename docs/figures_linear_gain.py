@@ -17,10 +17,10 @@ from scipy.linalg import expm
 
 from cosim.master import run
 from cosim.results import Result
-from observers.chen_yen import chen_yen
 from observers.instance import Instance
-from observers.james_baras import james_baras
+from observers.least_squares import chen_yen
 from observers.model import Model, Variable
+from observers.riccati import james_baras
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.james_baras_5_1 import JAMES_BARAS_5_1
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2

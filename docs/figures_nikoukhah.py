@@ -8,10 +8,10 @@ from figures import BLUE, GREEN, GREY, ORANGE, save
 
 from cosim.master import run
 from cosim.results import Result
+from observers.canonical_dae import nikoukhah
+from observers.canonical_dae.fault_detector import DETECTED
 from observers.component import Component
-from observers.fault_detector import DETECTED
 from observers.instance import Instance
-from observers.nikoukhah import nikoukhah
 from reference_models.double_integrator import DOUBLE_INTEGRATOR
 
 NOISE = {"plant.sensor.noise_std": 1e-3, "plant.sensor.sample_time": 1e-3}

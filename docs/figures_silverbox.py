@@ -16,8 +16,8 @@ from rich.table import Table
 from scipy.interpolate import CubicSpline
 
 import reference_models
-from cosim.log import read_log
-from cosim.replay import replay
+from cosim.replay.log import read_log
+from cosim.replay.replay import replay
 from reference_models.silverbox import K1, K3, SAMPLE_TIME
 from reference_models.silverbox_evaluation import evaluate
 

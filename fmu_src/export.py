@@ -8,14 +8,15 @@ import uuid
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmu_src import documentation, python_target
 from fmu_src.archive import write_zip
-from fmu_src.description import describe
+from fmu_src.description.model_description import describe
+from fmu_src.documentation import pages as documentation
+from fmu_src.documentation.reference import reference_files
 from fmu_src.errors import ExportError
-from fmu_src.native import compile_library
+from fmu_src.native.compiler import compile_library
+from fmu_src.native.sources import fixed_sources, functions, tables
 from fmu_src.platforms import PLATFORMS, resolve
-from fmu_src.reference import reference_files
-from fmu_src.sources import fixed_sources, functions, tables
+from fmu_src.python import target as python_target
 from observers.component import Component
 
 

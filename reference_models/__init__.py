@@ -1,0 +1,1 @@
+"""The papers' plants and experiments."""

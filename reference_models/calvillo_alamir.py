@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from observers.calvillo_alamir import calvillo_alamir
 from observers.component import Component
+from observers.elementary import calvillo_alamir
 from observers.pseudospectral import pseudospectral
 from reference_models.plant import plant
 from reference_models.ramp import ramp

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import cache
 
-from observers.chen_yen import chen_yen
 from observers.component import Component
+from observers.least_squares import chen_yen
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.plant import plant
 from reference_models.recipe import Recipe, Source

@@ -11,11 +11,11 @@ from typing import Any
 
 import casadi as ca
 
+from observers.canonical_dae import nikoukhah
 from observers.component import SHORTEST_SAMPLE_TIME, Component
 from observers.compose import compose
 from observers.controller import controller
 from observers.model import Variable
-from observers.nikoukhah import nikoukhah
 from observers.pseudospectral import pseudospectral
 from observers.ukf import ukf
 from reference_models import gong_2007, nikoukhah_1995

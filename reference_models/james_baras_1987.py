@@ -6,7 +6,7 @@ import math
 from functools import cache
 
 from observers.component import Component
-from observers.james_baras import james_baras
+from observers.riccati import james_baras
 from reference_models.james_baras_5_1 import JAMES_BARAS_5_1
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import cache
 
+from observers.canonical_dae import nikoukhah
 from observers.component import Component
-from observers.nikoukhah import nikoukhah
 from reference_models.double_integrator import DOUBLE_INTEGRATOR, MASS_WITH_UNKNOWN_FORCE, PUSHED_MASS
 from reference_models.modulated import MODULATED, lyapunov_gain
 from reference_models.motor import FAULTY_MOTOR, MOTOR

@@ -21,7 +21,7 @@ from fmpy.fmi2 import (
 
 import linear_models
 import moving_window
-from build_fmus import build, choose
+from build_fmus import build_all, choose
 from cosim.master import run
 from cosim.results import Result
 from fmu_src import export
@@ -190,7 +190,7 @@ def slave(unpacked: Callable[[str], Path]) -> Iterator[Callable[..., Slave]]:
 def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the whole catalogue: `fmus/` and `systems/`."""
     folder = tmp_path_factory.mktemp("catalogue")
-    build(choose([]), folder / "fmus", ["host"])
+    build_all(choose([]), folder / "fmus", ["host"])
     return folder
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.linalg import expm
 
-from observers.chen_yen import chen_yen
 from observers.component import Component
-from observers.james_baras import james_baras
+from observers.least_squares import chen_yen
 from observers.model import Model, Variable
+from observers.riccati import james_baras
 
 SAMPLE_TIME = 0.1  # [s]
 LARGEST = 8

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from cosim.fmu import Value
-from cosim.ssp import STRUCTURE, write_ssp
-from cosim.system import Element, System
+from cosim.system import Element, System, write_ssp
+from cosim.system.ssp_writer import STRUCTURE
 
 
 def coupled(

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+TESTS = Path(__file__).parent
+ROOT = TESTS.parent
 DEBIANS_WINE = "/usr/lib/wine/wine64"  # which puts no name on PATH
 WINE = DEBIANS_WINE if Path(DEBIANS_WINE).is_file() else shutil.which("wine64")
 

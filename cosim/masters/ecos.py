@@ -10,7 +10,7 @@ import numpy as np
 from ecospy import EcosLib, EcosSimulation
 
 from cosim.masters.experiment import Experiment, MasterError, Recording
-from cosim.ssp import PARAMETER_SET
+from cosim.system.ssp_writer import PARAMETER_SET
 
 
 def record(experiment: Experiment) -> Recording:

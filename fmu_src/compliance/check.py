@@ -7,16 +7,16 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from fmu_src.compliance.binaries import check_binaries, host_library
-from fmu_src.compliance.description import Description, read
-from fmu_src.compliance.dynamic import check_dynamic
+from fmu_src.compliance.files.binaries import check_binaries, host_library
+from fmu_src.compliance.files.description import Description, read
+from fmu_src.compliance.files.package import check_archive, open_package
+from fmu_src.compliance.files.structure import check_document, check_fmpy, check_schema, check_structure
+from fmu_src.compliance.files.variables import check_variables
 from fmu_src.compliance.finding import Report
-from fmu_src.compliance.fmu import Subject
-from fmu_src.compliance.ls_ref import MANIFEST, Experiment, check_manifest, experiment_files, read_experiments
-from fmu_src.compliance.package import check_archive, open_package
+from fmu_src.compliance.library.dynamic import check_dynamic
+from fmu_src.compliance.library.fmu import Subject
+from fmu_src.compliance.library.ls_ref import MANIFEST, Experiment, check_manifest, experiment_files, read_experiments
 from fmu_src.compliance.rules import STATIC, finding
-from fmu_src.compliance.structure import check_document, check_fmpy, check_schema, check_structure
-from fmu_src.compliance.variables import check_variables
 
 _ARCHIVE = ("zip-sound", "zip-method", "zip-path", "xml-schema")
 _UNUSABLE = ("binary-format", "exports", "undefined-symbols")  # not needed-libraries: here they may well be

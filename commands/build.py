@@ -1,0 +1,60 @@
+"""observer-fmus build: the catalogue, or the FMUs of a user's own model. `python build_fmus.py` does the same."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from build_fmus import Build, build_all, choose, components_of
+from commands.console import err, fail
+from fmu_src import ExportError
+
+
+def build(
+    only: Annotated[
+        list[str] | None, typer.Option(help="An FMU or a system of the catalogue; can be given several times.")
+    ] = None,
+    platforms: Annotated[
+        str, typer.Option(help="host, all, or a list: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
+    ] = "host",
+    out: Annotated[Path, typer.Option(help="Folder for the FMUs; the systems go into 'systems' beside it.")] = Path(
+        "fmus"
+    ),
+    target: Annotated[
+        str, typer.Option(help="native: C without dependencies; python: a PythonFMU, which needs Python in the tool.")
+    ] = "native",
+    file: Annotated[Path | None, typer.Option(help="A Python file: builds the Components that it defines.")] = None,
+) -> None:
+    """Build the catalogue's FMUs and systems, or the FMUs of your own model.
+
+    Example: observer-fmus build --file my_model.py --platforms all
+    """
+    if file is not None and only:
+        fail("--file and --only exclude each other", 2)
+    try:
+        work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
+        columns = (
+            TextColumn("{task.description:<32}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total}"),
+            TimeElapsedColumn(),
+        )
+        with Progress(*columns, console=err) as bar:
+            task = bar.add_task("", total=len(work.fmus) + len(work.systems))
+            written = build_all(
+                work,
+                out,
+                [name.strip() for name in platforms.split(",")],
+                lambda name, done, total: bar.update(task, description=name, completed=done, total=total),
+                target,
+            )
+    except OSError as error:
+        fail(f"cannot write to {out}: {error.strerror or error}", 2)
+    except (ExportError, ValueError, KeyError) as error:
+        fail(str(error.args[0]) if isinstance(error, KeyError) else str(error), 2)
+    for path in written:
+        print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")

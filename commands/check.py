@@ -1,0 +1,60 @@
+"""observer-fmus check: FMUs against the FMI 2.0 standard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from commands.console import err, fail
+from fmu_src.compliance.check import check as check_fmu
+from fmu_src.compliance.files.package import NotAnFmu
+from fmu_src.compliance.finding import Report
+from fmu_src.compliance.junit import write_junit
+
+_OUTPUT = Console(soft_wrap=True, highlight=False)
+
+
+def check(
+    fmus: Annotated[list[Path], typer.Argument(help="FMUs of FMI 2.0.", metavar="FILE.fmu ...", show_default=False)],
+    junit: Annotated[Path | None, typer.Option(help="Also write the result to this file, as JUnit XML.")] = None,
+) -> None:
+    """Check FMUs against the FMI 2.0 standard: the file, and what its library does when it is driven.
+
+    One line for each finding. Exit code 0: none; 1: some; 2: a file could not be checked.
+
+    Example: observer-fmus check fmus/*.fmu --junit compliance.xml
+    """
+    reports: list[Report] = []
+    refused: dict[Path, str] = {}
+    for path in fmus:
+        try:
+            with err.status(escape(str(path))) as status:
+                report = check_fmu(path, lambda rule: status.update(escape(f"{path}: {rule}")))  # noqa: B023  # called here only
+        except NotAnFmu as error:
+            err.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+            refused[path] = str(error)
+            continue
+        reports.append(report)
+        _show(report)
+    if junit is not None:
+        try:
+            write_junit(reports, refused, junit)
+        except OSError as error:
+            fail(f"{junit}: cannot be written: {error.strerror or error}", 2)
+    if refused:
+        raise typer.Exit(2)
+    raise typer.Exit(1 if any(report.findings for report in reports) else 0)
+
+
+def _show(report: Report) -> None:
+    for found in report.findings:
+        _OUTPUT.print(f"{report.fmu}: {found}", style="red", markup=False)
+    for note in report.notes:
+        _OUTPUT.print(f"{report.fmu}: note: {note}", style="yellow", markup=False)
+    count = len(report.findings)
+    verdict = "no finding" if count == 0 else "1 finding" if count == 1 else f"{count} findings"
+    _OUTPUT.print(f"{report.fmu}: {len(report.checked)} rules, {verdict}", style="bold", markup=False)

@@ -1,0 +1,67 @@
+"""observer-fmus compare: one system in several tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table as ConsoleTable
+
+from commands.console import fail, out
+from cosim.errors import ExperimentError, SystemFileError
+from cosim.master.slave import RunError
+from cosim.masters.comparison import LIMIT, MASTERS, differences, largest, record_all
+from cosim.masters.experiment import MasterError, Recording
+from cosim.results import write_columns
+
+
+def compare(
+    system: Annotated[Path, typer.Argument(help="The system to run, an .ssp file.", show_default=False)],
+    masters: Annotated[
+        str, typer.Option(metavar="NAMES", help="The tools that run it; the first is what the others are compared to.")
+    ] = ",".join(MASTERS),
+    out_directory: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where <tool>.csv of each goes.", show_default="not written"),
+    ] = None,
+) -> None:
+    """Run a system in several tools; print the largest difference of each variable. Fails above 1e-12 (relative).
+
+    Example: observer-fmus compare systems/gong_example_1.ssp --masters fmpy,ecos
+    """
+    try:
+        recordings = record_all(system, [name.strip() for name in masters.split(",")])
+    except (SystemFileError, ExperimentError) as error:
+        fail(str(error), 2)
+    except (RunError, MasterError) as error:
+        fail(str(error), 1)
+    if out_directory is not None:
+        try:
+            out_directory.mkdir(parents=True, exist_ok=True)
+            for name, recording in recordings.items():
+                write_columns(recording, out_directory / f"{name}.csv")
+        except OSError as error:
+            fail(f"cannot write to {out_directory}: {error.strerror or error}", 2)
+    worst = _print_differences(system.stem, recordings)
+    if not worst <= LIMIT:
+        fail(f"{system}: the tools differ by {worst:.2g}, more than {LIMIT:g}", 1)
+
+
+def _print_differences(title: str, recordings: dict[str, Recording]) -> float:
+    """Print the largest difference of each column from the first recording; the largest of them is returned."""
+    (first, reference), *others = recordings.items()
+    table = ConsoleTable(title=f"{title}: largest difference from {first}, relative", title_justify="left")
+    table.add_column("variable")
+    found = {}
+    for name, recording in others:
+        table.add_column(name, justify="right")
+        found[name] = differences(reference, recording)
+    for variable in reference:
+        values = [column[variable] for column in found.values()]
+        table.add_row(variable, *("not recorded" if v is None else f"{v:.2g}" for v in values))
+    worst = {name: largest(column) for name, column in found.items()}
+    table.add_section()
+    table.add_row("largest", *(f"{value:.2g}" for value in worst.values()), style="bold")
+    out.print(table)
+    return max(worst.values())

@@ -1,0 +1,134 @@
+"""observer-fmus replay: an observer over a recorded file."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import numpy as np
+import typer
+from rich.text import Text
+
+from commands.console import fail, late_progress, out, split_assignments
+from cosim.errors import ExperimentError, SystemFileError
+from cosim.master.slave import RunError
+from cosim.replay import replay as replays
+from cosim.report.page import Table, write_report
+from cosim.results import write_csv
+
+JITTER = 1e-3  # of the sample time: rows farther from their sample instants are worth a word
+
+
+def replay(
+    fmu: Annotated[Path, typer.Argument(help="The observer, an .fmu file.", show_default=False)],
+    log: Annotated[
+        Path,
+        typer.Argument(
+            help="The recorded file, .csv or .csv.gz: columns named like the FMU's inputs, and 'time' in seconds.",
+            show_default=False,
+        ),
+    ],
+    out_directory: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="Where the files go.", show_default="results/<name of the FMU>_replay"
+        ),
+    ] = None,
+    sample_time: Annotated[
+        float | None,
+        typer.Option(help="Seconds between the rows of a file without a column 'time'.", show_default=False),
+    ] = None,
+    mapped: Annotated[
+        list[str] | None,
+        typer.Option("--map", metavar="INPUT=COLUMN", help="The column that feeds an input. May be repeated."),
+    ] = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="VARIABLE=VALUE",
+            help="Start value of a parameter, or the constant value of an input without a column. May be repeated.",
+        ),
+    ] = None,
+) -> None:
+    """Run an observer over a recorded file; write estimates.csv (all outputs at each sample instant) and report.html.
+
+    Example: observer-fmus replay fmus/duffing_ukf.fmu log.csv --map y=position
+    """
+    directory = out_directory or Path("results") / f"{fmu.stem}_replay"
+    try:
+        with late_progress() as progress:
+            made = replays.replay(
+                fmu,
+                log,
+                sample_time=sample_time,
+                mapping=split_assignments(mapped, "--map", "INPUT=COLUMN"),
+                overrides=split_assignments(assignments, "--set", "VARIABLE=VALUE"),
+                progress=progress,
+            )
+    except (SystemFileError, ExperimentError) as error:
+        fail(str(error), 2)
+    except RunError as error:
+        _keep_partial(error, directory)
+    facts = _facts(made)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        write_csv(made.result, directory / "estimates.csv")
+        intro = "".join(f"<p>{escape(fact)}</p>" for fact in facts)
+        write_report(
+            directory / "report.html", made.result.system, intro, _inputs(made), [("Figures", "", made.result)]
+        )
+    except OSError as error:
+        fail(f"cannot write to {directory}: {error.strerror or error}", 2)
+    for fact in facts:
+        out.print(Text(fact), soft_wrap=True)
+    for file in ("estimates.csv", "report.html"):
+        out.print(Text(str(directory / file)), soft_wrap=True)
+
+
+def _keep_partial(error: RunError, directory: Path) -> NoReturn:
+    """End with the reason why the FMU failed, and the rows up to there in estimates.csv."""
+    if error.partial is None or not len(error.partial.time):
+        fail(str(error), 1)
+    table = directory / "estimates.csv"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        write_csv(error.partial, table)
+    except OSError as problem:
+        fail(f"{error}; cannot write to {directory}: {problem.strerror or problem}", 2)
+    fail(f"{error} (the record up to there is in {table})", 1)
+
+
+def _facts(made: replays.Replay) -> list[str]:
+    """What a reader must know of how the log met the FMU, a sentence each."""
+    taken = made.sampling
+    there = taken.rows >= 0
+    facts = [f"{len(taken.rows)} samples of {taken.sample_time:g} s from t = {taken.start:g} s."]
+    if not there.all():
+        facts.append(f"{int(np.sum(~there))} of them have no row within half a sample time: given as missing.")
+    largest = np.abs(taken.offsets).max() / taken.sample_time
+    if largest > JITTER:
+        facts.append(
+            f"Rows lie up to {largest:.1%} of the sample time away from the sample instants they were taken for."
+        )
+    unused = made.recorded - int(np.sum(there))
+    if unused:
+        facts.append(
+            f"{unused} of {made.recorded} rows lie farther from every sample instant than another and were left out."
+        )
+    for name, count in made.empty.items():
+        if count:
+            facts.append(f"Input {name} was missing (NaN) in {count} samples.")
+    if made.ignored:
+        facts.append(f"Columns that feed no input were ignored: {', '.join(made.ignored)}.")
+    if made.kept:
+        facts.append(f"Inputs without a column kept their value: {', '.join(made.kept)}.")
+    warnings = [message for message in made.result.messages if message.status != "ok"]
+    if warnings:
+        facts.append(f"The FMU warned {len(warnings)} times, first: {warnings[0].text}")
+    return facts
+
+
+def _inputs(made: replays.Replay) -> Table:
+    return Table(("input", "column", "missing samples"), [(n, c, str(made.empty[n])) for n, c in made.columns.items()])

@@ -1,0 +1,96 @@
+"""observer-fmus run: a system once, its record and a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.table import Table as ConsoleTable
+from rich.text import Text
+
+from commands.console import Assignments, fail, late_progress, out, split_assignments
+from cosim.errors import ExperimentError, SystemFileError
+from cosim.master import run as run_system
+from cosim.master.slave import RunError
+from cosim.report.estimates import pairs
+from cosim.report.page import Table, write_report
+from cosim.results import Result, write_csv
+
+
+def run(
+    system: Annotated[Path, typer.Argument(help="The system to run, an .ssp file.", show_default=False)],
+    out_directory: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where the files go.", show_default="results/<name of the file>"),
+    ] = None,
+    assignments: Assignments = None,
+    stop: Annotated[float | None, typer.Option(help="Stop time in seconds.", show_default="the system's")] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Communication step size in seconds.", show_default="the system's")
+    ] = None,
+) -> None:
+    """Run a system once; write results.csv (all outputs of all FMUs) and report.html (figures).
+
+    Example: observer-fmus run systems/gong_example_1.ssp --set plant.sensor.seed=7
+    """
+    directory = out_directory or Path("results") / system.stem
+    overrides = split_assignments(assignments)
+    try:
+        with late_progress() as progress:
+            result = run_system(system, stop=stop, step=step, overrides=overrides, progress=progress)
+        failure = None
+    except (SystemFileError, ExperimentError) as error:
+        fail(str(error), 2)
+    except RunError as error:
+        if error.partial is None or not len(error.partial.time):
+            fail(str(error), 1)
+        result, failure = error.partial, error
+    table = directory / "results.csv"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        write_csv(result, table)
+        if failure is None:
+            _write_report(result, directory / "report.html")
+    except OSError as error:
+        fail(f"cannot write to {directory}: {error.strerror or error}", 2)
+    if failure is not None:
+        fail(f"{failure} (the record up to there is in {table})", 1)
+    _summarise(result, directory)
+
+
+def _write_report(result: Result, path: Path) -> None:
+    found = pairs(result)
+    table = None
+    if found:
+        half = len(result.time) // 2
+        columns = ("estimate", "unit", "median error", "largest error, second half", "last error")
+        rows = []
+        for pair in found:
+            error = pair.error(result)
+            numbers = (np.median(error), np.max(error[half:]), error[-1])
+            rows.append((pair.estimate, result.units[pair.truth], *(f"{number:.2e}" for number in numbers)))
+        table = Table(columns, rows)
+    intro = f"<p>{len(result.time) - 1} communication steps of {result.step:g} s up to t = {result.time[-1]:g} s.</p>"
+    write_report(path, result.system, intro, table, [("Figures", "", result)])
+
+
+def _summarise(result: Result, directory: Path) -> None:
+    table = ConsoleTable(title=result.system, title_justify="left", title_style="bold")
+    for head in ("element", "outputs", "steps", "median us/step", "max us/step"):
+        table.add_column(head, justify="left" if head == "element" else "right")
+    for element, ns in result.step_ns.items():
+        outputs = sum(name.startswith(f"{element}.") for name in result.names)
+        times = (f"{np.median(ns) / 1000:.2f}", f"{np.max(ns) / 1000:.1f}")
+        table.add_row(element, str(outputs), str(len(ns)), *times)
+    out.print(table)
+    warnings = [m for m in result.messages if m.status != "ok"]
+    if warnings:
+        first = warnings[0]
+        noun = "warning" if len(warnings) == 1 else "warnings"
+        out.print(
+            Text(f"{len(warnings)} {noun}, the first by {first.element}: {first.text}", style="yellow"), soft_wrap=True
+        )
+    for file in ("results.csv", "report.html"):
+        out.print(Text(str(directory / file)), soft_wrap=True)

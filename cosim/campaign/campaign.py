@@ -1,0 +1,277 @@
+"""A Monte Carlo campaign: many runs of a system with varied start values and seeds, on Dask, resumable.
+
+Each finished run is a file in the campaign's folder, written whole or not at all; a campaign that is started again does the
+runs that have none. The values of a run depend on the seed and the run's number only, so neither the number of workers, nor
+their order, nor an interruption changes the table.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import logging
+import os
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import dask
+from distributed import Client, KilledWorker, LocalCluster, as_completed, get_worker
+from distributed.diagnostics.plugin import UploadFile
+
+from cosim.campaign.run import SETTLE, Experiment, Outcome, failed, load, perform, save
+from cosim.campaign.variation import Variations, check, draw
+from cosim.errors import ExperimentError, SystemFileError
+from cosim.fmu import Value, unit_of
+from cosim.master import count_steps, start_values
+from cosim.report.estimates import Pair, paired
+from cosim.system import read_ssp
+from cosim.system.system import ResolvedSystem, find_variable, resolve
+
+QUESTION, RUNS, TABLE = "campaign.json", "runs", "runs.csv"
+CONNECT_TIMEOUT = 10.0  # [s] for a scheduler to answer
+WORKERS_TIMEOUT = 30.0  # [s] for its first worker to appear
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A finished campaign.
+
+    Attributes:
+        system: the system's name.
+        experiment: what the runs share.
+        pairs: the estimates that are rated, with their truths.
+        units: the units of the truths, by column name.
+        outcomes: one for each run, by number.
+    """
+
+    system: str
+    experiment: Experiment
+    pairs: list[Pair]
+    units: Mapping[str, str]
+    outcomes: list[Outcome]
+
+
+def campaign(
+    system: Path | str,
+    out: Path | str,
+    *,
+    runs: int,
+    vary: Variations,
+    overrides: Mapping[str, Value] | None = None,
+    seed: int = 0,
+    stop: float | None = None,
+    step: float | None = None,
+    settle: float = SETTLE,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Campaign:
+    """Run an .ssp file `runs` times with varied start values; what is in `out` already is not run again.
+
+    Called from a script, it must stand under `if __name__ == "__main__":`, because local workers are processes that import
+    the script. A cluster's workers need this package; the .ssp file is sent to them.
+
+    Args:
+        system: the .ssp file.
+        out: the campaign's folder; afterwards the table of the runs is in its `runs.csv`.
+        runs: how many. More than the last time goes on from there.
+        vary: by path, the bounds of a uniform distribution (a whole number for an Integer), or None for whole numbers that are
+            distinct in all runs: `{"plant.start.x1": (-1.0, 1.0), "plant.sensor.seed": None}`.
+        overrides: start values that all runs share.
+        seed: of the random draws.
+        stop, step: stop time and communication step [s]; default: the system's.
+        settle: how long after the start and each jump of a true parameter an estimate may take to settle [s].
+        scheduler: address of a Dask scheduler; default: processes on this machine.
+        workers: how many processes on this machine; default: one for each processor.
+        progress: called with the number of finished runs and of all.
+
+    Raises:
+        SystemFileError: the system or its file is not sound, or the record of a run in `out` is damaged.
+        ExperimentError: a varied or set variable is unknown or unfit, the system has no estimate with a truth, `out` holds
+            another campaign, the scheduler does not answer.
+        OSError: `out` cannot be written.
+    """
+    system, out = Path(system).resolve(), Path(out).resolve()
+    overrides = overrides or {}
+    for what, value, least in (("runs", runs, 1), ("seed", seed, 0), ("workers", 1 if workers is None else workers, 1)):
+        if value < least:
+            raise ExperimentError(f"{what} = {value} must be at least {least}")
+    if not settle >= 0:
+        raise ExperimentError(f"settle = {settle:g} s must not be negative")
+    if scheduler is not None and workers is not None:
+        raise ExperimentError("the number of workers is the cluster's: give a scheduler or workers")
+    with tempfile.TemporaryDirectory(prefix="campaign-") as directory:
+        resolved = resolve(read_ssp(system, Path(directory)))
+    typed = start_values(resolved, overrides)
+    overrides = {path: typed[path.partition(".")[0]][path.partition(".")[2]] for path in overrides}
+    check(vary, resolved, overrides, runs)
+    stop, step = resolved.experiment(stop, step)
+    count_steps(resolved.system.start, stop, step)
+    found = _rated(resolved)
+    parameters = tuple(p.truth for p in found if f"model.{p.variable}" in resolved.variables[p.truth.split(".")[0]])
+    experiment = Experiment(overrides, stop, step, settle, parameters)
+    digest = hashlib.sha256(system.read_bytes()).hexdigest()
+    _open_folder(out, {"system": digest, "vary": dict(vary), "seed": seed, **asdict(experiment)})
+
+    values = {number: draw(vary, resolved, seed, number) for number in range(runs)}
+    records = {number: out / RUNS / f"{number:06d}.npz" for number in range(runs)}
+    todo = {number: values[number] for number in range(runs) if not records[number].exists()}
+    progress(runs - len(todo), runs)
+    if todo:
+        for i, outcome in enumerate(_perform_all(system, digest, experiment, todo, scheduler, workers), start=1):
+            save(outcome, records[outcome.run])
+            progress(runs - len(todo) + i, runs)
+    outcomes = [load(record) for record in records.values()]
+    _write_table(outcomes, out / TABLE)
+    units = {pair.truth: _unit(resolved, pair.truth) for pair in found}
+    return Campaign(resolved.system.name, experiment, found, units, outcomes)
+
+
+def _rated(resolved: ResolvedSystem) -> list[Pair]:
+    """The estimates of `resolved` with a truth beside them.
+
+    Raises:
+        ExperimentError: there are none.
+    """
+    names = [
+        f"{element}.{variable.name}"
+        for element, description in resolved.descriptions.items()
+        for variable in description.modelVariables
+        if variable.causality == "output" and variable.type == "Real"
+    ]
+    found = paired(names, resolved.upstream())
+    if not found:
+        raise ExperimentError(
+            f"system '{resolved.system.name}' has no estimate beside its truth "
+            "(outputs <observer>.estimate.<variable> and, of a plant that it observes, <plant>.x.<variable> or .z.<variable>): "
+            "there is nothing to rate"
+        )
+    return found
+
+
+def _unit(resolved: ResolvedSystem, path: str) -> str:
+    return unit_of(find_variable(resolved.variables, path)[1])
+
+
+def _open_folder(out: Path, question: Mapping[str, Any]) -> None:
+    """Make the campaign's folder, or see that it holds runs of the same question.
+
+    Raises:
+        ExperimentError: it holds another campaign; the message says what differs.
+        SystemFileError: its campaign.json is damaged.
+    """
+    asked = json.loads(json.dumps(question))
+    path = out / QUESTION
+    if not path.exists():
+        (out / RUNS).mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial")
+        partial.write_text(json.dumps(asked, indent=1) + "\n", encoding="utf-8")
+        os.replace(partial, path)
+        return
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise SystemFileError(f"{path}: not the head of a campaign ({error})") from None
+    if held != asked:
+        differing = [key for key in asked if held.get(key) != asked[key]]
+        differences = [
+            "the contents of the .ssp file" if key == "system" else f"{key} was {held.get(key)}, now {asked[key]}"
+            for key in differing
+        ]
+        raise ExperimentError(f"{out} holds another campaign ({'; '.join(differences)}): choose another folder")
+
+
+def _perform_all(
+    system: Path,
+    digest: str,
+    experiment: Experiment,
+    todo: Mapping[int, Mapping[str, float | int]],
+    scheduler: str | None,
+    workers: int | None,
+) -> Iterator[Outcome]:
+    """The outcomes of the runs `todo`, as they finish."""
+    with _client(scheduler, workers) as client:
+        upload = UploadFile(str(system), load=False)
+        upload.filename = f"{digest}.ssp"  # a worker may serve several campaigns
+        client.register_plugin(upload, name=digest)
+        numbers = {
+            client.submit(_perform_here, upload.filename, experiment, number, values, pure=False): number
+            for number, values in todo.items()
+        }
+        for future in as_completed(list(numbers)):
+            number = numbers.pop(future)
+            error = future.exception()
+            if isinstance(error, KilledWorker):
+                reason = "the process that ran it died, repeatedly: an FMU crashed, or memory ran out"
+                yield failed(number, todo[number], reason)
+            elif isinstance(error, ImportError):
+                raise ExperimentError(f"a worker cannot run the campaign: {error}")
+            elif error is not None:
+                raise error
+            else:
+                yield future.result()
+        client.unregister_worker_plugin(digest)
+
+
+def _perform_here(name: str, experiment: Experiment, number: int, values: Mapping[str, float | int]) -> Outcome:
+    """On a worker: a run of the system that was sent to its folder."""
+    return perform(Path(get_worker().local_directory).resolve() / name, experiment, number, values)
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """A client of the scheduler, or of local worker processes that end with it.
+
+    Raises:
+        ExperimentError: the scheduler does not answer, or has no workers.
+    """
+    with ExitStack() as stack:
+        if scheduler is None:
+            # A worker holds one run at a time, so that an FMU that crashes takes no other run with it.
+            stack.enter_context(dask.config.set({"distributed.scheduler.worker-saturation": 1.0}))
+            with _interrupt_ignored():
+                cluster = LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+                )
+            yield stack.enter_context(Client(stack.enter_context(cluster)))
+            return
+        try:
+            client = stack.enter_context(Client(scheduler, timeout=CONNECT_TIMEOUT))
+            client.wait_for_workers(1, timeout=WORKERS_TIMEOUT)
+        except (OSError, ValueError) as error:
+            raise ExperimentError(f"no Dask workers behind the scheduler '{scheduler}': {error}") from None
+        yield client
+
+
+@contextmanager
+def _interrupt_ignored() -> Iterator[None]:
+    """Processes started herein ignore Ctrl-C, which a terminal sends to all: this process alone decides what it means."""
+    if threading.current_thread() is not threading.main_thread():  # the only one that may change it
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def _write_table(outcomes: list[Outcome], path: Path) -> None:
+    """One line a run: number, failure, varied values, errors and counts; empty where a run failed."""
+    heads = ["run", "failure", *outcomes[0].values]
+    columns = list(dict.fromkeys(name for outcome in outcomes for name in outcome.numbers))
+    partial = path.with_suffix(".partial")
+    with partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*heads, *columns])
+        for outcome in outcomes:
+            numbers = [outcome.numbers.get(name, "") for name in columns]
+            writer.writerow([outcome.run, outcome.failure, *outcome.values.values(), *numbers])
+    os.replace(partial, path)

@@ -1,0 +1,154 @@
+"""One run of a campaign: its errors and counts, enough of its trajectories for a figure, and the file that keeps both."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cosim.errors import SystemFileError
+from cosim.fmu import Value
+from cosim.master import run
+from cosim.master.slave import RunError
+from cosim.report.estimates import pairs
+from cosim.results import Result
+
+SETTLE = 6.0  # [s]; Gong, Ross & Kang's Example 5 has a window of 5 s
+ROWS = 2000  # of the trajectories that are kept of a run, at most
+COUNTERS = ("diagnostics.solver_failures", "diagnostics.rejected_samples")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What every run of a campaign shares.
+
+    Attributes:
+        overrides: start values that do not vary.
+        stop, step: stop time and communication step [s].
+        settle: how long after the start and after a jump of a true parameter an estimate is not yet settled [s].
+        parameters: the columns of true parameters; a change of their value is a jump.
+    """
+
+    overrides: Mapping[str, Value]
+    stop: float
+    step: float
+    settle: float
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What is kept of a run.
+
+    Attributes:
+        run: its number, from 0.
+        values: the values of the varied variables.
+        failure: why the run failed; "" if it did not. A failed run has no numbers and no rows.
+        numbers: errors and counts by column name (see `rate`).
+        time: (m,) [s], m <= ROWS.
+        truths, estimates: (m, pairs), in the order of `cosim.estimates.pairs`.
+    """
+
+    run: int
+    values: Mapping[str, float | int]
+    failure: str
+    numbers: Mapping[str, float | int]
+    time: np.ndarray
+    truths: np.ndarray
+    estimates: np.ndarray
+
+
+def perform(system: Path, experiment: Experiment, number: int, values: Mapping[str, float | int]) -> Outcome:
+    """Run the system with the varied `values`. An FMU that fails makes a failed outcome, not an exception.
+
+    Raises:
+        SystemFileError, ExperimentError: as `cosim.master.run`.
+    """
+    try:
+        result = run(system, stop=experiment.stop, step=experiment.step, overrides={**experiment.overrides, **values})
+    except RunError as error:
+        return failed(number, values, str(error))
+    found = pairs(result)
+    kept = slice(None, None, -(-len(result.time) // ROWS))
+    return Outcome(
+        run=number,
+        values=values,
+        failure="",
+        numbers=rate(result, experiment),
+        time=result.time[kept],
+        truths=np.column_stack([result[pair.truth][kept] for pair in found]),
+        estimates=np.column_stack([result[pair.estimate][kept] for pair in found]),
+    )
+
+
+def failed(number: int, values: Mapping[str, float | int], failure: str) -> Outcome:
+    """The outcome of a run that failed."""
+    return Outcome(number, values, failure, {}, np.empty(0), np.empty((0, 0)), np.empty((0, 0)))
+
+
+def rate(result: Result, experiment: Experiment) -> dict[str, float | int]:
+    """Errors and counts of a run, by column name.
+
+    For each estimate and its truth `rms(...)` and `largest(...)` of the error at all communication points, and
+    `settled_rms(...)` of those more than `settle` seconds after the start and after each jump (NaN if there are none). For
+    each status output, at how many communication points each of its items held; the last values of the counters;
+    `non_finite`, the number of communication points at which an output was not finite.
+    """
+    numbers: dict[str, float | int] = {}
+    settled = settled_rows(result, experiment)
+    for pair in pairs(result):
+        error, label = pair.error(result), f"({pair.estimate} - {pair.truth})"
+        numbers[f"rms{label}"] = float(np.sqrt(np.mean(error**2)))
+        numbers[f"largest{label}"] = float(np.max(error))
+        numbers[f"settled_rms{label}"] = float(np.sqrt(np.mean(error[settled] ** 2))) if settled.any() else np.nan
+    for name, items in result.items.items():
+        if name.endswith(".status"):
+            numbers |= {f"{name}.{item}": int(np.sum(result[name] == value)) for value, item in items.items()}
+    for name in result.names:
+        if name.endswith(COUNTERS):
+            numbers[name] = int(result[name][-1])
+    numbers["non_finite"] = int(np.sum(~np.isfinite(result.values).all(axis=1)))
+    return numbers
+
+
+def settled_rows(result: Result, experiment: Experiment) -> np.ndarray:
+    """Which communication points lie more than `settle` after the start and every jump of a true parameter, (n,) of bool."""
+    jumps = [result.time[0]]
+    for name in experiment.parameters:
+        # The old value still holds at the instant of the jump, so the change shows one row later.
+        jumps += list(result.time[:-1][np.diff(result[name]) != 0])
+    since = np.array([result.time - jump for jump in jumps])
+    slack = 1e-6 * experiment.step  # times are rounded
+    return np.all((since < slack) | (since > experiment.settle + slack), axis=0) & (since[0] >= slack)
+
+
+def save(outcome: Outcome, path: Path) -> None:
+    """Write an outcome so that the file is there whole or not at all, whenever the process is killed."""
+    head = {"run": outcome.run, "values": dict(outcome.values), "failure": outcome.failure}
+    text = json.dumps(head | {"numbers": dict(outcome.numbers)})
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as file:
+        np.savez_compressed(
+            file, head=np.array(text), time=outcome.time, truths=outcome.truths, estimates=outcome.estimates
+        )
+    os.replace(partial, path)
+
+
+def load(path: Path) -> Outcome:
+    """Read what `save` wrote.
+
+    Raises:
+        SystemFileError: not such a file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            head = json.loads(str(stored["head"]))
+            return Outcome(**head, time=stored["time"], truths=stored["truths"], estimates=stored["estimates"])
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise SystemFileError(f"{path}: not the record of a run ({error}); delete it to run it again") from None

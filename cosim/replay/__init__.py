@@ -1,0 +1,1 @@
+"""An observer over a recorded file."""

@@ -1,0 +1,1 @@
+"""What a run shows: figures, tables, a page, and estimates held against the truth."""

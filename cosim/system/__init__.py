@@ -1,0 +1,7 @@
+"""A system of FMUs, and its .ssp file."""
+
+from cosim.system.ssp_reader import read_ssp
+from cosim.system.ssp_writer import write_ssp
+from cosim.system.system import Element, System
+
+__all__ = ["Element", "System", "read_ssp", "write_ssp"]

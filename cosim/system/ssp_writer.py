@@ -1,0 +1,194 @@
+"""A system as a file: SSP 1.0 (.ssp), a zip with SystemStructure.ssd and the FMUs in resources/.
+
+SSP 1.0 has no place for the communication step size. It travels in the annotation that the Open Simulation Platform
+defined for it (`osp:FixedStepAlgorithm` in the default experiment), which libcosim reads too.
+"""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from functools import cache
+from pathlib import Path
+from urllib.parse import quote
+
+import fmpy
+from fmpy.model_description import ModelVariable
+from lxml import etree
+
+from cosim.errors import SystemFileError
+from cosim.fmu import Value, enumeration_items, unit_of
+from cosim.system.system import BASE_UNIT, ResolvedSystem, System, resolve
+
+SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
+STRUCTURE = "SystemStructure.ssd"
+OSP_ANNOTATION = "com.opensimulationplatform"
+# Ecos and libcosim group parameter sets by this name, and their own examples call it so.
+PARAMETER_SET = "initialValues"
+
+_PREFIXES = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "osp": OSP}  # literal: several tools match prefixes, not namespaces
+
+
+def write_ssp(system: System, path: Path) -> None:
+    """Write `system` to `path`: the same system and FMUs give the same bytes.
+
+    Inputs and outputs of the elements become connectors (enumerations only if connected), and so do the parameters that
+    have a value. An FMU that several elements use is stored once.
+
+    Raises:
+        SystemFileError: the system contradicts its FMUs (see `cosim.system.resolve`), or two FMUs share a file name.
+    """
+    resolved = resolve(system)
+    files: dict[str, Path] = {}
+    for element in system.elements.values():
+        kept = files.setdefault(element.fmu.name, element.fmu)
+        if kept.resolve() != element.fmu.resolve():
+            raise SystemFileError(
+                f"system '{system.name}': {kept} and {element.fmu} would both be resources/{kept.name}"
+            )
+    content = {STRUCTURE: _structure(resolved)}
+    content |= {f"resources/{name}": file.read_bytes() for name, file in files.items()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        for name in sorted(content):
+            entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            entry.external_attr = 0o644 << 16
+            entry.create_system = 3  # as on Unix, wherever it is written
+            archive.writestr(entry, content[name])
+
+
+def validate(element: etree._Element, schema: str, where: str) -> None:
+    """Check `element` against one of SSP's schemas, "SystemStructureDescription" or "SystemStructureParameterValues".
+
+    Raises:
+        SystemFileError: it is invalid; the message names `where` and the line.
+    """
+    checker = _schema(schema)
+    if not checker.validate(element):
+        problem = checker.error_log[0]
+        raise SystemFileError(f"{where}, line {problem.line}: {problem.message}")
+
+
+@cache
+def _schema(name: str) -> etree.XMLSchema:
+    return etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "ssp" / "schema" / f"{name}.xsd"))
+
+
+def _structure(resolved: ResolvedSystem) -> bytes:
+    system = resolved.system
+    root = etree.Element(f"{{{SSD}}}SystemStructureDescription", nsmap=_PREFIXES, version="1.0", name=system.name)
+    top = _add(root, SSD, "System", name=system.name, description=system.description)
+    elements = _add(top, SSD, "Elements")
+    for name in system.elements:
+        _add_component(elements, resolved, name)
+    if resolved.connections:
+        connections = _add(top, SSD, "Connections")
+        for c in resolved.connections:
+            ends = {"startElement": c.source, "startConnector": c.output.name}
+            ends |= {"endElement": c.target, "endConnector": c.input.name}
+            _add(connections, SSD, "Connection", **ends)
+    _add_enumerations(root, resolved)
+    _add_units(root, resolved)
+    stop, step = resolved.experiment()
+    experiment = _add(root, SSD, "DefaultExperiment", startTime=_literal(system.start), stopTime=_literal(stop))
+    annotation = _add(_add(experiment, SSD, "Annotations"), SSC, "Annotation", type=OSP_ANNOTATION)
+    _add(_add(annotation, OSP, "Algorithm"), OSP, "FixedStepAlgorithm", baseStepSize=_literal(step))
+    validate(root, "SystemStructureDescription", f"system '{system.name}': {STRUCTURE}")
+    for parameters in root.iter(f"{{{SSV}}}ParameterSet"):
+        validate(parameters, "SystemStructureParameterValues", f"system '{system.name}': {STRUCTURE}")
+    return etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True)
+
+
+def _add(parent: etree._Element, namespace: str, tag: str, **attributes: str) -> etree._Element:
+    return etree.SubElement(parent, f"{{{namespace}}}{tag}", **attributes)
+
+
+def _literal(value: Value) -> str:
+    """`value` as XML Schema writes it; doubles in the shortest form that reads back exactly."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "INF" if value > 0 else "-INF"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _connectors(resolved: ResolvedSystem, name: str) -> list[tuple[str, ModelVariable]]:
+    """Kind and variable of each connector of element `name`.
+
+    An enumeration is declared only where the standard demands it (it is connected or has a value): libcosim ends the
+    process at the sight of one.
+    """
+    used = set(resolved.parameters[name])
+    for c in resolved.connections:
+        used |= {variable.name for element, variable in ((c.source, c.output), (c.target, c.input)) if element == name}
+    return [
+        (v.causality, v)
+        for v in resolved.descriptions[name].modelVariables
+        if v.causality in ("input", "output", "parameter")
+        and (v.name in used or (v.causality != "parameter" and v.type != "Enumeration"))
+    ]
+
+
+def _add_component(elements: etree._Element, resolved: ResolvedSystem, name: str) -> None:
+    element = resolved.system.elements[name]
+    source = "resources/" + quote(element.fmu.name)
+    component = _add(elements, SSD, "Component", name=name, type="application/x-fmu-sharedlibrary", source=source)
+    declared = _connectors(resolved, name)
+    if declared:
+        connectors = _add(component, SSD, "Connectors")
+        for kind, variable in declared:
+            connector = _add(connectors, SSD, "Connector", name=variable.name, kind=kind)
+            _add(connector, SSC, variable.type, **_type_attributes(resolved, name, variable))
+    if resolved.parameters[name]:
+        binding = _add(_add(component, SSD, "ParameterBindings"), SSD, "ParameterBinding")
+        values = _add(_add(binding, SSD, "ParameterValues"), SSV, "ParameterSet", version="1.0", name=PARAMETER_SET)
+        parameters = _add(values, SSV, "Parameters")
+        for variable_name, value in resolved.parameters[name].items():
+            variable = resolved.variables[name][variable_name]
+            if variable.type == "Enumeration":
+                value = enumeration_items(variable)[int(value)]
+            parameter = _add(parameters, SSV, "Parameter", name=variable_name)
+            _add(parameter, SSV, variable.type, value=_literal(value))
+
+
+def _type_attributes(resolved: ResolvedSystem, name: str, variable: ModelVariable) -> dict[str, str]:
+    if variable.type == "Enumeration":
+        return {"name": variable.declaredType.name}
+    unit = unit_of(variable)
+    defined = {u.name for u in resolved.descriptions[name].unitDefinitions if u.baseUnit is not None}
+    return {"unit": unit} if unit in defined else {}
+
+
+def _add_enumerations(root: etree._Element, resolved: ResolvedSystem) -> None:
+    found: dict[str, dict[int, str]] = {}
+    for name in resolved.system.elements:
+        for _, variable in _connectors(resolved, name):
+            if variable.type == "Enumeration":
+                items, enumeration = enumeration_items(variable), variable.declaredType.name
+                if found.setdefault(enumeration, items) != items:
+                    raise SystemFileError(
+                        f"element '{name}': another FMU defines the enumeration '{enumeration}' differently"
+                    )
+    if found:
+        enumerations = _add(root, SSD, "Enumerations")
+        for enumeration in sorted(found):
+            listed = _add(enumerations, SSC, "Enumeration", name=enumeration)
+            for number, item in sorted(found[enumeration].items()):
+                _add(listed, SSC, "Item", name=item, value=str(number))
+
+
+def _add_units(root: etree._Element, resolved: ResolvedSystem) -> None:
+    found: dict[str, dict[str, str]] = {}
+    for name, description in resolved.descriptions.items():
+        used = {unit_of(variable) for _, variable in _connectors(resolved, name)}
+        for unit in description.unitDefinitions:
+            if unit.name in used and unit.baseUnit is not None:
+                base = {key: _literal(getattr(unit.baseUnit, key)) for key in BASE_UNIT}
+                if found.setdefault(unit.name, base) != base:
+                    raise SystemFileError(f"element '{name}': another FMU defines the unit '{unit.name}' differently")
+    if found:
+        units = _add(root, SSD, "Units")
+        for unit_name in sorted(found):
+            _add(_add(units, SSC, "Unit", name=unit_name), SSC, "BaseUnit", **found[unit_name])

@@ -1,0 +1,136 @@
+"""Rules of what the FMU carries to be run: its platforms' libraries and its sources."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path, PurePosixPath
+
+import fmpy
+
+from fmu_src.compliance.files.description import Description
+from fmu_src.compliance.files.libraries import Library, read_library
+from fmu_src.compliance.finding import Finding
+from fmu_src.compliance.rules import finding
+from fmu_src.errors import ExportError
+from fmu_src.platforms import resolve
+
+# By folder in binaries/: the libraries' suffix and machine. FMI 2.0 names those for x86; for other machines 2.0.4 points to
+# the <machine>-<system> tuples of FMI 3.0.
+FOLDERS = {
+    "linux32": (".so", "x86"),
+    "linux64": (".so", "x86_64"),
+    "win32": (".dll", "x86"),
+    "win64": (".dll", "x86_64"),
+    "darwin32": (".dylib", "x86"),
+    "darwin64": (".dylib", "x86_64"),
+    "aarch32-linux": (".so", "aarch32"),
+    "aarch64-linux": (".so", "aarch64"),
+    "aarch64-windows": (".dll", "aarch64"),
+    "aarch64-darwin": (".dylib", "aarch64"),
+}
+
+# What every machine of a platform has. glibc kept some of itself in libraries of their own until 2.34.
+_SYSTEM = {
+    ".so": re.compile(
+        r"(lib(c|m|pthread|dl|rt|util)\.so\.6|lib(pthread|dl|rt|util)\.so\.\d|ld-linux[\w-]*\.so\.\d|libc\.musl-.*)\Z"
+    ),
+    ".dll": re.compile(
+        r"(kernel32|kernelbase|ntdll|msvcrt|ucrtbase|user32|gdi32|advapi32|shell32|shlwapi|ole32|oleaut32|rpcrt4|ws2_32|winmm"
+        r"|bcrypt|bcryptprimitives|crypt32|userenv|version|psapi|dbghelp|iphlpapi|api-ms-win-[\w-]+)\.dll\Z",
+        re.IGNORECASE,
+    ),
+    ".dylib": re.compile(r"/usr/lib/|/System/Library/"),
+}
+
+
+def check_binaries(directory: Path, description: Description) -> Iterator[Finding]:
+    """The rules from `implementation` to `source-files`, of the FMU unpacked in `directory`."""
+    files = {PurePosixPath(path.relative_to(directory).as_posix()) for path in directory.rglob("*") if path.is_file()}
+    binaries = {path for path in files if path.parts[0] == "binaries" and len(path.parts) > 2}
+    sources = {str(PurePosixPath(*path.parts[1:])) for path in files if path.parts[0] == "sources"}
+    if not binaries and not sources:
+        yield finding("implementation", "binaries/, sources/", "a binary or sources", "neither")
+    for name in description.source_files:
+        if name not in sources:
+            yield finding("source-files", f"sources/{name}", "the listed file", "none")
+    for folder in sorted({path.parts[1] for path in binaries}):
+        if folder in FOLDERS:
+            beside = {path.name for path in binaries if path.parts[1] == folder}
+            yield from _check_platform(directory, description, folder, beside)
+        else:
+            yield finding("platform-folder", f"binaries/{folder}", f"one of {', '.join(FOLDERS)}", folder)
+
+
+def host_library(description: Description) -> str | None:
+    """The path in the FMU of the library for this machine; None where FMI has no name for the machine."""
+    try:
+        folder = resolve(["host"])[0]
+    except ExportError:
+        return None
+    return f"binaries/{folder}/{description.identifier}{FOLDERS[folder][0]}"
+
+
+def _check_platform(directory: Path, description: Description, folder: str, beside: set[str]) -> Iterator[Finding]:
+    suffix, machine = FOLDERS[folder]
+    for interface, identifier in description.identifiers.items():
+        path = f"binaries/{folder}/{identifier}{suffix}"
+        if f"{identifier}{suffix}" not in beside:
+            yield finding("binary-missing", f"binaries/{folder}", f"{identifier}{suffix}", ", ".join(sorted(beside)))
+            continue
+        try:
+            library = read_library(directory / path)
+        except ValueError as error:
+            yield finding("binary-format", path, f"a library for {folder}", str(error))
+            continue
+        if machine not in library.machines:
+            found = f"code for {', '.join(sorted(library.machines))}"
+            yield finding("binary-format", path, f"code for {machine}", found)
+        missing = sorted(functions(interface) - library.exports)
+        if missing:
+            yield finding("exports", path, f"all functions of {interface} exported", f"{', '.join(missing)} missing")
+        if not description.says("needsExecutionTool"):  # else the FMU says itself that it is not complete
+            yield from _check_dependencies(path, library, suffix, beside)
+
+
+def _check_dependencies(path: str, library: Library, suffix: str, beside: set[str]) -> Iterator[Finding]:
+    system = _SYSTEM[suffix]
+    own = {PurePosixPath(path).name} | beside
+    strangers = sorted(
+        name for name in library.needed if not system.match(name) and PurePosixPath(name).name not in own
+    )
+    if strangers:
+        expected = "what the system has, or what lies beside it"
+        yield finding("needed-libraries", path, expected, ", ".join(strangers))
+    open_symbols = sorted(
+        name
+        for name, provider in library.undefined.items()
+        if not (provider in library.needed if provider else _is_in_libc(name))
+    )
+    if open_symbols and not strangers and not library.needed & own:
+        yield finding("undefined-symbols", path, "symbols of libc and libm", ", ".join(open_symbols))
+
+
+@cache
+def _is_in_libc(name: str) -> bool:
+    """Has this machine's C library or libm the symbol? Asked for symbols whose library the file does not say."""
+    for library in ("libc.so.6", "libm.so.6"):
+        try:
+            if hasattr(ctypes.CDLL(library), name):
+                return True
+        except OSError:  # another system than Linux with glibc: it cannot be known here
+            return True
+    return False
+
+
+@cache
+def functions(interface: str) -> frozenset[str]:
+    """The functions of CoSimulation or ModelExchange, from FMI's own header in the fmpy package."""
+    header = (Path(fmpy.__file__).parent / "c-code" / "fmi2Functions.h").read_text()
+    declarations = header[header.index("Inquire version numbers of header files") :]
+    common, rest = declarations.split("Functions for FMI2 for Model Exchange")
+    exchange, cosimulation = rest.split("Functions for FMI2 for Co-Simulation")
+    own = cosimulation if interface == "CoSimulation" else exchange
+    return frozenset(re.findall(r"FMI2_Export \w+TYPE\s+(\w+);", common + own))

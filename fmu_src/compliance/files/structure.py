@@ -1,0 +1,99 @@
+"""Rules of the document around the variables: validity, ModelStructure, default experiment, flags, log categories."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+
+from fmpy.validation import validate_fmu
+from lxml import etree
+
+from fmu_src.compliance.files.description import Description, schema
+from fmu_src.compliance.files.package import Package
+from fmu_src.compliance.finding import Finding
+from fmu_src.compliance.rules import finding
+
+_LISTS = ("Outputs", "Derivatives", "InitialUnknowns")
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z", re.ASCII)
+
+
+def check_schema(root: etree._Element) -> Iterator[Finding]:
+    """The rule xml-schema: the other rules can read a valid document only."""
+    validator = schema()
+    if not validator.validate(root):
+        for problem in validator.error_log:
+            yield finding("xml-schema", f"line {problem.line}", "a valid document", problem.message)
+
+
+def check_fmpy(package: Package, already_found: bool) -> Iterator[Finding]:
+    """fmpy's validation. Its reader stumbles over what other rules name; then it has no message of its own worth showing."""
+    names = {element.get("name") for element in package.root.iterfind("ModelVariables/ScalarVariable")}
+    for problem in validate_fmu(str(package.path)):
+        if problem.startswith("The file path"):  # that is the rule zip-path
+            continue
+        named = next((word for word in re.findall(r'"([^"]+)"', problem) if word in names), "modelDescription.xml")
+        is_sentence = " " in problem
+        if is_sentence and "index out of range" not in problem:
+            yield finding("fmpy-validation", named, "a description that fmpy accepts", problem)
+        elif not already_found:
+            yield finding("fmpy-validation", named, "a description that fmpy can read", problem)
+
+
+def check_document(description: Description) -> Iterator[Finding]:
+    """guid, model-identifier, state-flags, default-experiment, log-category."""
+    if not description.guid.strip():
+        yield finding("guid", "guid", "a GUID", "none")
+    for element, identifier in description.identifiers.items():
+        if not _IDENTIFIER.match(identifier):
+            yield finding("model-identifier", element, "a C identifier", f"'{identifier}'")
+    if description.says("canSerializeFMUstate") and not description.says("canGetAndSetFMUstate"):
+        yield finding("state-flags", "canSerializeFMUstate", "canGetAndSetFMUstate = true too", "false")
+    for name, count in Counter(description.categories).items():
+        if count > 1:
+            yield finding("log-category", name, "one category of this name", str(count))
+    experiment = description.experiment
+    start = experiment.get("startTime", 0.0)
+    if "stopTime" in experiment and not experiment["stopTime"] >= start:
+        found = f"{experiment['stopTime']:.10g}"
+        yield finding("default-experiment", "stopTime", f"a time not before startTime = {start:.10g}", found)
+    for name in ("stepSize", "tolerance"):
+        if name in experiment and not experiment[name] > 0:
+            yield finding("default-experiment", name, "a positive number", f"{experiment[name]:.10g}")
+
+
+def check_structure(root: etree._Element, description: Description) -> Iterator[Finding]:
+    """structure-index, structure-duplicate, dependency-known."""
+    variables = description.variables
+    states = {variable.derivative for variable in variables} - {None}
+    for variable in variables:
+        if variable.derivative is not None and not 1 <= variable.derivative <= len(variables):
+            expected = f"an index in 1..{len(variables)}"
+            yield finding("structure-index", f"derivative of {variable.name}", expected, str(variable.derivative))
+    for name in _LISTS:
+        unknowns = root.findall(f"ModelStructure/{name}/Unknown")
+        indices = [int(unknown.get("index", "0")) for unknown in unknowns]
+        for index, count in Counter(indices).items():
+            if not 1 <= index <= len(variables):
+                yield finding("structure-index", name, f"indices in 1..{len(variables)}", str(index))
+            elif count > 1:
+                yield finding("structure-duplicate", variables[index - 1].name, f"it once in {name}", f"{count} times")
+        for index, unknown in zip(indices, unknowns, strict=True):
+            subject = variables[index - 1].name if 1 <= index <= len(variables) else f"index {index}"
+            for known in map(int, (unknown.get("dependencies") or "").split()):
+                if not 1 <= known <= len(variables):
+                    expected = f"dependencies in 1..{len(variables)}"
+                    yield finding("structure-index", f"{name}: {subject}", expected, str(known))
+                elif not _is_known(description, states, name, known):
+                    kind = f"the {variables[known - 1].causality} {variables[known - 1].name}"
+                    yield finding("dependency-known", f"{name}: {subject}", "dependencies on knowns", kind)
+
+
+def _is_known(description: Description, states: set[int | None], name: str, index: int) -> bool:
+    """Section 2.2.8: inputs, continuous states and time are known; for InitialUnknowns also what starts exactly."""
+    variable = description.variables[index - 1]
+    if variable.causality in ("input", "independent"):
+        return True
+    if name == "InitialUnknowns":
+        return variable.initial == "exact"
+    return index in states or variable.causality == "parameter"  # tunable ones act between steps: tools list them

@@ -1,0 +1,1 @@
+"""What an FMU's library does when it is driven, each probe in a process of its own."""

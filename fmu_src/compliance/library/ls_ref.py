@@ -1,0 +1,231 @@
+"""FMI-LS-REF: the manifest of related files, their checksums, and the experiments with reference results in them.
+
+The layered standard (1.0.0-alpha.1) has the manifest and the checksums; the experiments are in the harmonised format to which
+it refers (ma-hs-experiments). Both its forms are read: times as attributes of Experiment, and of its TransientSimulation.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+from lxml import etree
+
+from fmu_src.compliance.files.description import Variable
+from fmu_src.compliance.finding import Finding
+from fmu_src.compliance.library.fmu import Fmu, Instance, Subject
+from fmu_src.compliance.rules import finding
+
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST = f"{FOLDER}/fmi-ls-manifest.xml"
+NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
+NAME = "org.fmi-standard.fmi-ls-ref"
+EXPERIMENTS = "application/x-ma-hs-experiments"
+TOLERANCE = 1e-3  # of a column's largest or its nominal value, where the experiment names none
+_SAME_TIME = 1e-6  # of a step
+
+_ROLES = re.compile(
+    r"(document|requirement|specification|model|parameter|system|testcase|experiment(/(smoke-test|validation|uncertainty-analysis))?"
+    r"|result|method|rationale|report|request|delivery|configuration|signature|serialized-state(/.*)?|meta-data|other)\Z"
+)
+_DIGESTS = {
+    f"SHA{family}-{bits}": name.format(bits)
+    for family, name in (("3", "sha3_{}"), ("", "sha{}"))
+    for bits in (224, 256, 384, 512)
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A CSV file: `times` (n) [s] from its first column, the other columns by name, each (n)."""
+
+    times: np.ndarray
+    columns: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run that can be repeated; parameter sets are not read, an experiment with one is left out with a note."""
+
+    name: str
+    start: float
+    stop: float
+    step: float
+    tolerance: float
+    stimuli: Table | None
+    reference: Table
+
+
+def check_manifest(directory: Path) -> Iterator[Finding]:
+    """ls-ref-manifest and ls-ref-checksum, of the FMU unpacked in `directory`."""
+    path = directory / MANIFEST
+    try:
+        root = etree.parse(str(path)).getroot()
+    except etree.XMLSyntaxError as error:
+        yield finding("ls-ref-manifest", MANIFEST, "well-formed XML", f"line {error.lineno}: {error.msg}")
+        return
+    name = root.get(f"{{{NAMESPACE}}}fmi-ls-name")
+    if root.tag != "fmiReferences" or name != NAME:
+        yield finding(
+            "ls-ref-manifest", MANIFEST, f"fmiReferences with fmi-ls-name = {NAME}", f"{root.tag} with {name}"
+        )
+        return
+    for related in root.iterfind("Related"):
+        source, role = related.get("source", ""), related.get("role", "")
+        if not _ROLES.match(role):
+            yield finding("ls-ref-manifest", source, "a role of the standard", f"'{role}'")
+        if urlsplit(source).scheme:  # an absolute URI: what it leads to is not in the FMU
+            continue
+        file = _file_of(directory, source)
+        if file is None:
+            yield finding("ls-ref-manifest", source or "source", "a file in the FMU", "none")
+        else:
+            yield from _check_digest(related, source, file)
+
+
+def experiment_files(directory: Path) -> list[Path]:
+    """The files of experiments that the manifest lists; none where there is no manifest that can be read."""
+    path = directory / MANIFEST
+    if not path.is_file():
+        return []
+    try:
+        root = etree.parse(str(path)).getroot()
+    except etree.XMLSyntaxError:  # the rule ls-ref-manifest says so
+        return []
+    sources = [
+        related.get("source", "")
+        for related in root.iterfind("Related")
+        if related.get("role", "").startswith("experiment") and related.get("type") == EXPERIMENTS
+    ]
+    return [file for file in (_file_of(directory, source) for source in sources) if file is not None]
+
+
+def _file_of(directory: Path, source: str) -> Path | None:
+    """The file that a relative URI in the manifest leads to; None if it is not in the FMU."""
+    file = (directory / FOLDER / unquote(source)).resolve()
+    return file if source and file.is_relative_to(directory.resolve()) and file.is_file() else None
+
+
+def _check_digest(related: etree._Element, source: str, file: Path) -> Iterator[Finding]:
+    checksum, kind = related.get("checksum"), related.get("checksumType", "SHA3-256")
+    if checksum is None:
+        return
+    if kind not in _DIGESTS:
+        yield finding("ls-ref-manifest", source, f"a checksumType of {', '.join(_DIGESTS)}", f"'{kind}'")
+        return
+    digest = hashlib.new(_DIGESTS[kind], file.read_bytes()).hexdigest()
+    if digest != checksum.lower():
+        yield finding("ls-ref-checksum", source, f"the {kind} {checksum.lower()}", digest)
+
+
+def read_experiments(file: Path, subject: Subject) -> list[Experiment]:
+    """The experiments of a file that have reference results.
+
+    Raises:
+        ValueError: not such a file, or one of the files that it names is missing or no CSV table.
+    """
+    try:
+        root = etree.parse(str(file)).getroot()
+    except etree.XMLSyntaxError as error:
+        raise ValueError(f"line {error.lineno}: {error.msg}") from None
+    found = []
+    for element in root.iterfind("Experiment"):
+        if element.find("References") is not None and element.find("Parameters") is None:
+            simulation = element.find("TransientSimulation")
+            settings = dict(element.attrib) | (dict(simulation.attrib) if simulation is not None else {})
+            reference = _table(file, element.find("References"))
+            stimuli = element.find("Stimuli")
+            experiment = Experiment(
+                name=settings.get("name", "experiment"),
+                start=float(settings.get("startTime", subject.start)),
+                stop=float(settings.get("stopTime", reference.times[-1])),
+                step=float(settings.get("stepSize", subject.step)),
+                tolerance=float(settings.get("tolerance", TOLERANCE)),
+                stimuli=None if stimuli is None else _table(file, stimuli),
+                reference=reference,
+            )
+            if not (experiment.step > 0 and experiment.start <= experiment.stop < math.inf):
+                times = f"{experiment.start:g} to {experiment.stop:g} by {experiment.step:g}"
+                raise ValueError(f"experiment {experiment.name} cannot be run from {times}")
+            found.append(experiment)
+    return found
+
+
+def _table(file: Path, element: etree._Element) -> Table:
+    source, kind = element.get("source", ""), element.get("type", "text/csv")
+    if kind != "text/csv":
+        raise ValueError(f"{source} is of type {kind}; text/csv is read here")
+    try:
+        rows = list(csv.reader(io.StringIO((file.parent / unquote(source)).read_text(encoding="utf-8-sig"))))
+        values = np.array([[float(cell) for cell in row] for row in rows[1:] if row], dtype=float)
+        if values.ndim != 2 or values.shape[1] != len(rows[0]):
+            raise ValueError("no table of numbers")
+    except OSError as error:
+        raise ValueError(f"{source}: {error.strerror}") from None
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"{source}: {error}") from None
+    return Table(values[:, 0], dict(zip(rows[0][1:], values[:, 1:].T, strict=True)))
+
+
+def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
+    """Runs the experiment: set the inputs of t_k, get the outputs of t_k, step to t_{k+1}; compares where both have t_k."""
+    by_name = {variable.name: variable for variable in fmu.subject.variables}
+    stimuli, reference = experiment.stimuli, experiment.reference
+    strangers = [name for name in [*reference.columns, *(stimuli.columns if stimuli else ())] if name not in by_name]
+    if strangers:
+        yield finding(
+            "ls-ref-replay", strangers[0], "a variable of the FMU", f"a column of experiment {experiment.name}"
+        )
+        return
+    watched = [by_name[name] for name in reference.columns]
+    steps = round((experiment.stop - experiment.start) / experiment.step)
+    instance = fmu.new()
+    _apply(instance, by_name, stimuli, experiment.start)
+    instance.legal("fmi2SetupExperiment", 0, 0.0, experiment.start, 0, 0.0)
+    instance.legal("fmi2EnterInitializationMode")
+    instance.legal("fmi2ExitInitializationMode")
+    rows = []
+    for k in range(steps + 1):
+        time = experiment.start + k * experiment.step
+        if k > 0:
+            _apply(instance, by_name, stimuli, time)
+        rows.append(list(instance.read(watched).values()))
+        if k < steps:
+            instance.legal("fmi2DoStep", time, experiment.step, 1, about=f"experiment {experiment.name}")
+    places = np.rint((reference.times - experiment.start) / experiment.step).astype(int)
+    near = np.abs(reference.times - experiment.start - places * experiment.step) <= _SAME_TIME * experiment.step
+    shared = near & (places >= 0) & (places <= steps)
+    if not shared.any():
+        yield finding("ls-ref-replay", experiment.name, "reference results at communication points", "none")
+        return
+    got = np.array(rows, dtype=float)
+    for column, (name, expected) in enumerate(reference.columns.items()):
+        error = np.abs(got[places[shared], column] - expected[shared])
+        limit = experiment.tolerance * max(np.abs(expected[shared]).max(), abs(watched[column].nominal))
+        worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+        if not error[worst] <= limit:
+            time, value = reference.times[shared][worst], expected[shared][worst]
+            expectation = f"{value:.9g} at t = {time:.9g}, to {limit:.2g}"
+            yield finding("ls-ref-replay", name, expectation, f"{got[places[shared], column][worst]:.9g}")
+
+
+def _apply(instance: Instance, by_name: dict[str, Variable], stimuli: Table | None, time: float) -> None:
+    """Continuous inputs are interpolated linearly between the rows, others keep the row's value."""
+    if stimuli is None:
+        return
+    for name, values in stimuli.columns.items():
+        variable = by_name[name]
+        if variable.variability == "continuous":
+            value = float(np.interp(time, stimuli.times, values))
+        else:
+            row = max(int(np.searchsorted(stimuli.times, time * (1 + 1e-12), side="right")) - 1, 0)
+            value = float(values[row])
+        instance.set(variable, value if variable.type == "Real" else int(value))

@@ -1,0 +1,65 @@
+"""Probes of FMU states: restored here, and serialised for another process."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Generator, Iterator
+
+from fmu_src.compliance.finding import Finding
+from fmu_src.compliance.library.fmu import OK, Fmu, Instance, Rows, status_name
+from fmu_src.compliance.library.lifecycle import STEPS, differences
+from fmu_src.compliance.rules import finding
+
+
+def _state(instance: Instance) -> ctypes.c_void_p:
+    state = ctypes.c_void_p()
+    instance.legal("fmi2GetFMUstate", ctypes.byref(state))
+    return state
+
+
+def restore(fmu: Fmu) -> Iterator[Finding]:
+    """The state amid a run; on to the end; back, and on to the end again."""
+    instance = fmu.initialized()
+    instance.run(STEPS // 2)
+    state = _state(instance)
+    expected = [instance.computed(), *instance.run(STEPS // 2)]
+    instance.legal("fmi2SetFMUstate", state)
+    instance.steps = STEPS // 2
+    found = [instance.computed(), *instance.run(STEPS // 2)]
+    yield from differences("state-restore", expected, found, "as before the state was restored")
+
+
+def free_state(fmu: Fmu) -> Iterator[Finding]:
+    instance = fmu.initialized()
+    state = _state(instance)
+    instance.legal("fmi2FreeFMUstate", ctypes.byref(state))
+    if state.value is not None:
+        yield finding("state-free", "fmi2FreeFMUstate", "a null pointer afterwards", "another")
+        return
+    status = instance.call("fmi2FreeFMUstate", ctypes.byref(state))
+    if status != OK:
+        yield finding("state-free", "fmi2FreeFMUstate of null", "fmi2OK, the call ignored", status_name(status))
+
+
+def serialize(fmu: Fmu) -> Generator[Finding, None, tuple[bytes, Rows]]:
+    """Returns the bytes of the state amid a run, and what follows from it here."""
+    instance = fmu.initialized()
+    instance.run(STEPS // 2)
+    state, size = _state(instance), ctypes.c_size_t()
+    instance.legal("fmi2SerializedFMUstateSize", state, ctypes.byref(size))
+    content = ctypes.create_string_buffer(size.value)
+    instance.legal("fmi2SerializeFMUstate", state, content, size)
+    yield from ()
+    return content.raw, [instance.computed(), *instance.run(STEPS // 2)]
+
+
+def resume(fmu: Fmu, content: bytes, expected: Rows) -> Iterator[Finding]:
+    instance = fmu.initialized()
+    state = ctypes.c_void_p()
+    instance.legal(
+        "fmi2DeSerializeFMUstate", ctypes.create_string_buffer(content, len(content)), len(content), ctypes.byref(state)
+    )
+    instance.legal("fmi2SetFMUstate", state)
+    instance.steps = STEPS // 2
+    found = [instance.computed(), *instance.run(STEPS // 2)]
+    yield from differences("state-serialize", expected, found, "as in the process that serialised the state")

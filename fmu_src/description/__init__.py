@@ -1,0 +1,1 @@
+"""modelDescription.xml: variables, units, dependencies."""

@@ -1,0 +1,169 @@
+"""The arrival cost: what samples that have left the window still say about its first state.
+
+A quadratic |s - sbar|^2_{P^-1} of s = [x0; theta] at the window's first sample, before that sample's own measurement. When the window
+moves on, the sample that it leaves behind corrects (sbar, P) as in an extended Kalman filter linearised at the window's own solution s*,
+
+    s+ = sbar + G (y0 - h(s*) - M0 (sbar - s*))        P+ = (I - G M0) P (I - G M0)' + G R G'
+
+and both move on by one sample along the window's trajectory: s' = [x1 + S1 (s+ - s*); theta+], P' = A P+ A' + Qd, A = [S1; 0 I]
+(Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48 (2), 2003). On a linear model the estimate then equals the Kalman filter's, whatever
+the window's length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from observers import ports
+from observers.component import Port
+from observers.model import Model, ModelError
+from observers.numerics import algebraic, linear
+from observers.numerics.finite import HUGE
+from observers.pseudospectral.method import Method
+from observers.pseudospectral.window.condense import first_sample
+
+SMALLEST = 1e-9  # standard deviation, relative to the nominal value: a weight is one over its square
+
+
+def ports_of(
+    model: Model,
+    wanted: bool,
+    process_noise: Mapping[str, float] | None,
+    measurement_noise: Mapping[str, float] | None,
+    initial_std: Mapping[str, float] | None,
+) -> tuple[Port, ...]:
+    """The tuning parameters of the arrival cost; none unless `wanted`.
+
+    Raises:
+        ModelError: deviations given without an arrival cost, or of something that is not estimated or measured.
+    """
+    if not wanted:
+        for name, value in (
+            ("process_noise", process_noise),
+            ("measurement_noise", measurement_noise),
+            ("initial_std", initial_std),
+        ):
+            if value is not None:
+                raise ModelError(f"pseudospectral: {name} belongs to an arrival cost: give arrival_cost=True")
+        return ()
+    estimated = (*model.states, *model.unknown_parameters)
+    owner = "pseudospectral"
+    return (
+        *ports.deviations(owner, "process_noise", ports.PROCESS_NOISE, estimated, process_noise, 0.0),
+        *ports.deviations(
+            owner,
+            "measurement_noise",
+            ports.MEASUREMENT_NOISE,
+            model.outputs,
+            measurement_noise,
+            0.1,
+            smallest=SMALLEST,
+        ),
+        *ports.deviations(
+            owner, "initial_std", ports.INITIAL_STD, estimated, initial_std, 1.0, "fixed", smallest=SMALLEST
+        ),
+    )
+
+
+def _sizes(model: Model, wanted: bool) -> tuple[int, int]:
+    return (len(model.states) + len(model.unknown_parameters), len(model.outputs)) if wanted else (0, 0)
+
+
+def settings(model: Model, wanted: bool) -> dict[str, int]:
+    """Sizes of the tuning parameters, in the order of `ports_of`."""
+    ns, ny = _sizes(model, wanted)
+    return {"process_noise": ns, "measurement_noise": ny, "initial_std": ns}
+
+
+def state(model: Model, wanted: bool) -> dict[str, int]:
+    """Sizes of what is kept from sample to sample."""
+    ns, _ = _sizes(model, wanted)
+    return {"prior_mean": ns, "prior_covariance": ns * ns}
+
+
+def start(q: SimpleNamespace, wanted: bool) -> dict[str, Any]:
+    """The guess and its covariance."""
+    if not wanted:
+        return {}
+    covariance = ca.vec(ca.densify(ca.diag(q.initial_std**2)))
+    return {"prior_mean": ca.vertcat(q.guess_x, q.guess_theta), "prior_covariance": covariance}
+
+
+def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) -> dict[str, Any]:
+    """What a solve needs of it: mean and information, weighted as a sample is."""
+    if not wanted:
+        return {}
+    ns = len(scale)
+    P, S = ca.SX.sym("P", ns * ns), ca.diag(ca.DM(scale))
+    inside = ca.solve(S, ca.solve(S, ca.reshape(P, ns, ns)).T)
+    # A direction without uncertainty gets a large weight, not an infinite one.
+    information = linear.inverse(inside + SMALLEST**2 * ca.SX.eye(ns))
+    scaled = ca.vec(ca.solve(S, ca.solve(S, (information + information.T) / 2).T))
+    return {
+        "prior_mean": s.prior_mean,
+        "prior_information": weight * ca.Function("information", [P], [scaled])(s.prior_covariance),
+    }
+
+
+def advance(
+    method: Method,
+    s: SimpleNamespace,
+    q: SimpleNamespace,
+    at: tuple[Any, Any, Any],
+    data: Any,
+    y: Any,
+    valid: Any,
+    inputs: tuple[Any, Any],
+    time: Any,
+) -> dict[str, Any]:
+    """Mean and covariance for the next window.
+
+    `at` is the window's trajectory (V, Z, s*), `data` its known terms, `y`, `valid` (ny) its first sample, `inputs` (U, those at the
+    samples), `time` its start.
+    """
+    problem, model = method.problem, method.model
+    nx, ns, ny, nu = problem.nx, len(problem.scale), problem.ny, problem.nu
+    U, seen = inputs
+    x1, S1 = first_sample(problem)(*at, data, q.model, U)
+    parts = [
+        ca.SX.sym(name, size) for name, size in (("s", ns), ("mean", ns), ("P", ns * ns), ("x1", nx), ("S1", nx * ns))
+    ]
+    around, mean, P, moved, slope = parts
+    P = ca.reshape(P, ns, ns)
+    A = ca.vertcat(ca.reshape(slope, nx, ns), ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx)))
+    y0, there, u0 = ca.SX.sym("y0", ny), ca.SX.sym("valid", ny), ca.SX.sym("u0", nu)
+    p, t, z0 = ca.SX.sym("p", problem.n_parameters), ca.SX.sym("t"), ca.SX.sym("z0", len(model.algebraic))
+    noise, drift = ca.SX.sym("noise", ny), ca.SX.sym("drift", ns)
+    expected, _ = algebraic.measurement(method.equations)(around[:nx], u0, p, around[nx:], t, z0)
+    M = ca.diag(there) @ ca.densify(ca.jacobian(expected, around))
+    innovation = ca.if_else(there, y0 - expected - ca.mtimes(M, mean - around), 0)
+    PM, R = ca.mtimes(P, M.T), ca.diag(noise**2)
+    G = linear.qr_solve(ca.mtimes(M, PM) + R, PM.T).T
+    corrected = mean + ca.mtimes(G, innovation)
+    left = ca.SX.eye(ns) - ca.mtimes(G, M)
+    after = ca.mtimes([left, P, left.T]) + ca.mtimes([G, R, G.T])
+    new_mean = ca.vertcat(moved, around[nx:]) + ca.mtimes(A, corrected - around)
+    new_P = ca.mtimes([A, after, A.T]) + ca.diag(drift**2 * problem.segment.sample_time)
+    new_P = ca.vec((new_P + new_P.T) / 2)
+    arguments = [*parts, y0, there, u0, p, t, z0, noise, drift]
+    step = ca.Function("advance_prior", arguments, [new_mean, new_P], {"cse": True})
+    z_start = at[1][: problem.rates.n_algebraic] if problem.n_algebraic else s.z
+    first_input = seen[:nu] if nu else ca.MX(0, 1)
+    now = [at[2], s.prior_mean, s.prior_covariance, x1, ca.vec(S1)]
+    mean_next, P_next = step(*now, y, valid, first_input, q.model, time, z_start, q.measurement_noise, q.process_noise)
+    # The prior of a window that does not move yet stays; one that is lost starts again around the prediction.
+    moves = s.k >= method.samples
+    lost = ca.logic_not(ca.sumsqr(ca.vertcat(mean_next, P_next)) < HUGE)
+    again = {"prior_mean": at[2], "prior_covariance": ca.vec(ca.diag(q.initial_std**2))}
+    return {
+        name: ca.if_else(moves, ca.if_else(lost, again[name], following), old)
+        for name, following, old in (
+            ("prior_mean", mean_next, s.prior_mean),
+            ("prior_covariance", P_next, s.prior_covariance),
+        )
+    }

@@ -1,0 +1,39 @@
+"""What the parts of one pseudospectral observer share: its equations, its windowed problem, and what the solve is subject to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from observers.model import Model
+from observers.numerics.equations import Equations
+from observers.numerics.layout import Layout
+from observers.pseudospectral.window.gauss_newton import Constraints
+from observers.pseudospectral.window.problem import LeastSquares
+
+
+@dataclass(frozen=True)
+class Method:
+    """An observer's structure: the model's equations with its inputs lifted, the windowed problem, and what the solve is subject to."""
+
+    model: Model
+    equations: Equations
+    lift: ca.Function
+    problem: LeastSquares
+    settings: Layout
+    constraints: Constraints
+    spline: bool
+    arrival: bool
+
+    @property
+    def samples(self) -> int:
+        """L."""
+        return self.problem.segment.samples * self.problem.count
+
+    @property
+    def sees_inputs(self) -> bool:
+        """Whether an output depends on the inputs, itself or through the algebraic variables."""
+        eq = self.equations
+        through = ca.vertcat(eq.output, eq.algebraic) if ca.depends_on(eq.output, eq.z) else eq.output
+        return bool(self.model.inputs) and bool(ca.depends_on(through, eq.u))

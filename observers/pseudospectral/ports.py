@@ -1,0 +1,135 @@
+"""Status, tuning and diagnostics of the pseudospectral observer, as its FMU shows them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from observers import ports
+from observers.component import Enumeration, Port
+from observers.pseudospectral.window.iteration import MOST_ITERATIONS
+
+STATUS = Enumeration(
+    "PseudospectralStatus",
+    (
+        ("propagated_guess", "too few samples yet: the estimate is the propagated guess"),
+        ("growing_window", "the window is not full yet: the estimate rests on fewer samples"),
+        ("converged", "the estimate fits a full window"),
+        ("prediction_kept", "the prediction's cost lies below tuning.cost_threshold: no solve was needed"),
+        (
+            "sample_rejected",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
+        ),
+        ("solver_failed", "Gauss-Newton did not converge: the estimate is the prediction"),
+        ("undetermined", "the window does not determine the state: the estimate is the prediction"),
+        ("coarse_collocation", "the residual at node 0 exceeds its bound: N is too small for the window"),
+        ("parameter_changed", "a model parameter was changed within the window: its older samples obey the old value"),
+        (
+            "inconsistent",
+            "the rms output residual exceeds tuning.residual_limit, or bounds contradict each other: the samples do not fit the model",
+        ),
+        ("singular", "the algebraic equations hardly determine the algebraic variables somewhere in the window"),
+        (
+            "uncertain",
+            "the samples' noise leaves a state or unknown parameter open by more than tuning.deviation_limit",
+        ),
+    ),
+)
+CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
+
+TUNING = (
+    Port(
+        "tuning.tolerance",
+        "scaled step below which Gauss-Newton stops; 1: mostly one iteration a sample",
+        start=1e-5,
+        min=1e-14,
+        max=1.0,
+        variability="tunable",
+    ),
+    Port(
+        "tuning.iteration_limit",
+        "iterations a sample after which a solve has failed",
+        start=MOST_ITERATIONS,
+        min=1,
+        max=MOST_ITERATIONS,
+        kind="Integer",
+        variability="tunable",
+    ),
+    Port(
+        "tuning.regularisation",
+        "damping of the step, relative to nominal values; it does not bias the solution",
+        start=1e-14,
+        min=0.0,
+        variability="tunable",
+    ),
+    Port(
+        "tuning.cost_threshold", "cost of the prediction below which no solve is done", min=0.0, variability="tunable"
+    ),
+    Port(
+        "tuning.conditioning_limit",
+        "conditioning at or below which the window does not determine the state",
+        start=1e-7,
+        min=0.0,
+        max=1.0,
+        variability="tunable",
+    ),
+    Port(
+        "tuning.deviation_limit",
+        "estimated standard deviation, in units of nominal values, above which the status is uncertain",
+        start=0.3,
+        min=0.0,
+        variability="tunable",
+    ),
+    Port(
+        "tuning.collocation_limit",
+        "scaled residual at node 0 above which the status is coarse_collocation",
+        start=0.02,
+        min=0.0,
+        variability="tunable",
+    ),
+    Port(
+        "tuning.residual_limit",
+        "rms output residual, in units of the outputs' nominal values (with an arrival cost: of tuning.measurement_noise), above which the "
+        "status is inconsistent",
+        start=1e30,
+        min=0.0,
+        variability="tunable",
+    ),
+)
+DIAGNOSTICS = (
+    ports.status(STATUS),
+    Port(
+        "diagnostics.cost",
+        "integral over the window of the squared output residual, in units of the outputs' nominal values (with an arrival cost: of "
+        "tuning.measurement_noise)",
+        "s",
+        variability="discrete",
+    ),
+    Port(
+        "diagnostics.iterations", "Gauss-Newton iterations at the last sample", kind="Integer", variability="discrete"
+    ),
+)
+QUALITY = (
+    Port(
+        "diagnostics.conditioning",
+        "smallest over largest pivot of the normal matrix; near 0: not determined",
+        variability="discrete",
+    ),
+    Port(
+        "diagnostics.deviation",
+        "estimated standard deviation of the least certain state at the window's start or unknown parameter, in units of nominal values",
+        variability="discrete",
+    ),
+    Port("diagnostics.node0_residual", "collocation residual at the dropped node 0, scaled", variability="discrete"),
+)
+CONSTRAINT_VIOLATION = Port(
+    "diagnostics.constraint_violation",
+    "by how much bounds had to give way, in units of nominal values; above 0: they contradict each other",
+    variability="discrete",
+)
+REGULARITY_LIMIT = Port(
+    "tuning.regularity_limit",
+    "smallest pivot of dg/dz, in units of nominal values, below which the status is singular",
+    start=1e-2,
+    min=0.0,
+    variability="tunable",
+)

@@ -1,0 +1,287 @@
+"""The windowed least-squares problem linearised along a trajectory, condensed to the unknowns s = [x0; theta], segment by segment.
+
+For the rates V and first state xs of a segment, with RG = d xs / d [1; s], and X_Q = PhQ xs + PsQ V + CQ the states that phi depends on:
+
+    (I - blk(phi_x) PsQ) sol = [phi - V, 0, phi_theta] + blk(phi_x) PhQ RG      dV = sol [1; ds]
+    RG+ = PhE RG + PsE sol                                                       of the next segment
+    M = d h / d [1; s] at the measured points                                    r = h - y
+
+and the sum over the segments of [r + M_0, M_s]' W [r + M_0, M_s] holds normal matrix, gradient and cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from observers.numerics import tiles
+from observers.numerics.exact import product
+from observers.pseudospectral.window import groups
+from observers.pseudospectral.window.problem import LeastSquares
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The problem linearised at (V, Z, s), over the whole window.
+
+    `normal` (1 + ns, 1 + ns); `sol` the segments' d V / d [1; s]; `Z` the algebraic variables at the nodes; `residual` (h - y) and
+    `sensitivity` its derivative by [1; s] at all measured points; `nodes` and `node_sensitivity` those of the bounded states at the nodes.
+    """
+
+    normal: Any
+    sol: list[Any]
+    Z: Any
+    residual: Any
+    sensitivity: Any
+    nodes: Any
+    node_sensitivity: Any
+
+
+def output_residual(problem: LeastSquares) -> ca.Function:
+    """Function residual(V, Z, s, data, p, y) -> h(points) - y, stacked (ny m)."""
+    kind = problem.kind
+    V, Z, s, data, p, y = symbols(problem, kind)
+    xs, theta = s[: problem.nx], s[problem.nx :]
+    rows = []
+    functions = [_residual(problem, j, kind) for j in range(min(problem.count, 2))]
+    move = end(problem)
+    for j, (v, z) in enumerate(_segments(problem, V, Z)):
+        known = data[problem.data_of(j)]
+        rows.append(functions[min(j, 1)](xs, v, z, theta, known, p, y[problem.measured(j)]))
+        if j + 1 < problem.count:
+            xs = move(xs, v, problem.data(j).unpack(known).forced_end)
+    return ca.Function("residual", [V, Z, s, data, p, y], [ca.vertcat(*rows)])
+
+
+def end(problem: LeastSquares) -> ca.Function:
+    """end(xs, V, forced_end) -> the state at the segment's end."""
+    Ph, Ps = problem.segment.at(np.array([problem.segment.length]))
+    arguments = [ca.SX.sym("xs", problem.nx), ca.SX.sym("V", problem.n_rates), ca.SX.sym("c", problem.nx)]
+    return ca.Function("end", arguments, [_affine(ca.SX, Ph, arguments[0], Ps, arguments[1], arguments[2])])
+
+
+def symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
+    """V, Z, s, data, p, y of the whole window, SX or MX."""
+    counts = (
+        problem.count * problem.n_rates,
+        problem.count * problem.n_algebraic,
+        problem.nx + problem.n_theta,
+        problem.n_data,
+        problem.n_parameters,
+        problem.ny * problem.n_measured,
+    )
+    return tuple(kind.sym(name, count) for name, count in zip(("V", "Z", "s", "data", "p", "y"), counts, strict=True))
+
+
+def linearise(
+    problem: LeastSquares, V: Any, Z: Any, s: Any, data: Any, p: Any, y: Any, w: Any, active: Any
+) -> Linearised:
+    """The problem at (V, Z, s) with weights w of the measured points; segments with `active` 0 stay as they are and weigh nothing."""
+    kind, n = type(V), 1 + problem.nx + problem.n_theta
+    xs, theta = s[: problem.nx], s[problem.nx :]
+    RG = _at_start(problem, kind)
+    normal = kind(ca.DM.zeros(n, n))
+    parts: dict[str, list[Any]] = {name: [] for name in ("sol", "Z", "r", "M", "X", "G")}
+    first = _segment(problem, 0, kind)
+    later = _if_active(_segment(problem, 1, kind)) if problem.count > 1 else None
+    for j, (v, z) in enumerate(_segments(problem, V, Z)):
+        arguments = [xs, RG, v, z, theta, data[problem.data_of(j)], p, y[problem.measured(j)], w[problem.measured(j)]]
+        found = first(*arguments) if later is None or j == 0 else later(active[j], *arguments)
+        xs, RG = found[0], found[1]
+        normal = normal + found[2]
+        for name, value in zip(parts, found[3:], strict=True):
+            parts[name].append(value)
+    stacked = {name: ca.vertcat(*values) for name, values in parts.items() if name != "sol"}
+    return Linearised(normal, parts["sol"], *stacked.values())
+
+
+def first_sample(problem: LeastSquares) -> ca.Function:
+    """first_sample(V, Z, s, data, p, U) -> (x, S): the state one sample after the window's start, and d x / d s (nx x ns)."""
+    kind = problem.kind
+    V, Z, s, data, p, _ = symbols(problem, kind)
+    U = kind.sym("U", problem.inputs(problem.count - 1).stop)
+    v, z = _segments(problem, V, Z)[0]
+    xs, theta, RG = s[: problem.nx], s[problem.nx :], _at_start(problem, kind)
+    known = problem.data(0).unpack(data[problem.data_of(0)])
+    sol, _ = _condense(problem, kind, xs, RG, v, z, theta, known, p)
+    times = np.array([problem.segment.sample_time])
+    Ph, Ps = problem.segment.at(times)
+    Xi = problem.segment.forced(times)
+    forced = ca.mtimes(kind(ca.DM(Xi)), U[problem.inputs(0)]) if Xi.any() else kind(ca.DM.zeros(problem.nx))
+    x = _affine(kind, Ph, xs, Ps, v, forced)
+    return ca.Function("first_sample", [V, Z, s, data, p, U], [x, _sensitivity(kind, Ph, Ps, RG, sol)[:, 1:]])
+
+
+def _at_start(problem: LeastSquares, kind: Any) -> Any:
+    """RG at the window's start: [0 I 0]."""
+    return kind(ca.DM(np.hstack([np.zeros((problem.nx, 1)), np.eye(problem.nx, len(problem.scale))])))
+
+
+def _segments(problem: LeastSquares, V: Any, Z: Any) -> list[tuple[Any, Any]]:
+    return list(zip(problem.chop(V, problem.n_rates), problem.chop(Z, problem.n_algebraic), strict=True))
+
+
+def _if_active(function: ca.Function) -> ca.Function:
+    """`function` where its first argument is not 0; else xs and RG pass, Z stays, all else is 0."""
+    arguments = [ca.MX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())]
+    stays = {0: arguments[0], 1: arguments[1], 4: arguments[3]}
+    results = [stays.get(i, ca.MX(ca.DM.zeros(*function.size_out(i)))) for i in range(function.n_out())]
+    skip = ca.Function(f"{function.name()}_skipped", arguments, results)
+    return ca.Function.if_else(f"maybe_{function.name()}", function, skip)
+
+
+def _residual(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
+    """residual(xs, V, Z, theta, data, p, y) -> h - y at the points of a first (j = 0) or later segment."""
+    xs, _, V, Z, theta, data, p, y, _ = _segment_symbols(problem, j, kind)
+    rows = _measured(problem, j, xs, None, V, Z, theta, problem.data(j).unpack(data), p, y, None)
+    return ca.Function(f"residual_{j}", [xs, V, Z, theta, data, p, y], [ca.vertcat(*[r for r, _ in rows])])
+
+
+def _segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
+    """Function of (xs, RG, V, Z, theta, data, p, y, w) of a first (j = 0) or later segment.
+
+    Returns (xs+, RG+, normal, sol, Z+, r, M, X, G): X the bounded states at the nodes, G their derivative by [1; s].
+    """
+    kind = ca.SX if problem.segment_is_small else kind
+    arguments = _segment_symbols(problem, j, kind)
+    xs, RG, V, Z, theta, data, p, y, w = arguments
+    known = problem.data(j).unpack(data)
+    s, n = problem.segment, RG.shape[1]
+    sol, Z_new = _condense(problem, kind, xs, RG, V, Z, theta, known, p)
+    normal, start = kind(ca.DM.zeros(n, n)), 0
+    rows = _measured(problem, j, xs, RG, V, Z, theta, known, p, y, sol)
+    for r, M in rows:
+        normal = normal + groups.normal(M.shape[0], n)(r, M, w[start : start + M.shape[0]])
+        start += M.shape[0]
+    if problem.count > 1:
+        Ph, Ps = s.at(np.array([s.length]))
+        xs_end, RG_end = _affine(kind, Ph, xs, Ps, V, known.forced_end), _sensitivity(kind, Ph, Ps, RG, sol)
+    else:
+        xs_end, RG_end = xs, RG
+    X, G = kind(0, 1), kind(0, n)
+    if problem.bounded:
+        Ph, Ps = s.at(s.node_times[1:], list(problem.bounded))
+        X, G = _affine(kind, Ph, xs, Ps, V, known.forced_bounded), _sensitivity(kind, Ph, Ps, RG, sol)
+    whole = ca.vertcat(*sol) if sol else kind(0, n)
+    r, M = (ca.vertcat(*column) for column in zip(*rows, strict=True))
+    results = [xs_end, RG_end, normal, whole, Z_new, r, M, X, G]
+    return ca.Function(f"segment_{j}", arguments, [ca.densify(result) for result in results])
+
+
+def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:
+    kind = ca.SX if problem.segment_is_small else kind
+    n, m = 1 + problem.nx + problem.n_theta, problem.ny * len(problem.points_of(j))
+    shapes = {
+        "xs": (problem.nx, 1),
+        "RG": (problem.nx, n),
+        "V": (problem.n_rates, 1),
+        "Z": (problem.n_algebraic, 1),
+        "theta": (problem.n_theta, 1),
+        "data": (problem.data(j).total, 1),
+        "p": (problem.n_parameters, 1),
+        "y": (m, 1),
+        "w": (m, 1),
+    }
+    return [kind.sym(name, *shape) for name, shape in shapes.items()]
+
+
+def _condense(
+    problem: LeastSquares, kind: Any, xs: Any, RG: Any, V: Any, Z: Any, theta: Any, known: Any, p: Any
+) -> tuple[list[Any], Any]:
+    """sol, d V / d [1; s], in groups of rows; and the algebraic variables at the nodes."""
+    rates, s = problem.rates, problem.segment
+    if rates.n == 0:
+        return [], Z
+    PhQ, PsQ = s.at(s.node_times[1:], s.split.states)
+    sizes = [s.order] if kind is ca.SX else tiles.sizes(s.order, max(1, tiles.TILE // rates.n))
+    nq, nv, ne, nz = rates.n_states, rates.n, rates.n_known, rates.n_algebraic
+    collocated = {size: groups.collocated(rates, size, RG.shape[1]) for size in set(sizes)}
+    A: list[list[Any]] = []
+    b: list[Any] = []
+    z_new: list[Any] = []
+    first = 0
+
+    def rows(vector: Any, size: int, each: int) -> Any:
+        return vector[first * each : (first + size) * each]
+
+    for size in sizes:
+        q = slice(first * nq, (first + size) * nq)
+        xq = _affine(kind, PhQ[q], xs, PsQ[q], V, rows(known.forced, size, nq))
+        moved = ca.mtimes(kind(ca.DM(PhQ[q])), RG)
+        arguments = [xq, rows(known.known, size, ne), p, theta, rows(Z, size, nz), rows(V, size, nv), moved]
+        slope, right, z = collocated[size](*arguments)
+        row, column = [], 0
+        for other in sizes:
+            c = slice(column * nv, (column + other) * nv)
+            row.append(groups.tile(nv, nq, size, other, first == column)(slope, kind(ca.DM(PsQ[q, c]))))
+            column += other
+        A.append(row)
+        b.append(right)
+        z_new.append(z)
+        first += size
+    return tiles.solve_tiles(A, b), ca.vertcat(*z_new)
+
+
+def _measured(
+    problem: LeastSquares,
+    j: int,
+    xs: Any,
+    RG: Any,
+    V: Any,
+    Z: Any,
+    theta: Any,
+    known: Any,
+    p: Any,
+    y: Any,
+    sol: list[Any] | None,
+) -> list[tuple[Any, Any]]:
+    """(r, M) by groups of measured points: residual h - y and, where `sol` is given, its derivative with respect to [1; s]."""
+    rest, ny, points, kind = problem.output_rest, problem.ny, problem.points_of(j), type(xs)
+    m, s = len(points), problem.segment
+    Ph, Ps = s.at(points)
+    C = np.kron(np.eye(m), problem.output.A)
+    CPh, CPs = product(C, Ph), product(C, Ps)
+    PhH, PsH = s.at(points, problem.output.states)
+    nh, ne, nz = rest.n_states, rest.n_known, rest.n_algebraic
+    z = ca.mtimes(kind(ca.DM(np.kron(s.from_nodes(points), np.eye(nz)))), Z) if nz else kind(0, 1)
+    sizes = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
+    observed = {size: groups.observed(rest, size) for size in set(sizes)} if rest.n else {}
+    out, first = [], 0
+    for size in sizes:
+        rows, h = slice(first * ny, (first + size) * ny), slice(first * nh, (first + size) * nh)
+        r = _affine(kind, CPh[rows], xs, CPs[rows], V, known.offset[rows]) - y[rows]
+        M = _sensitivity(kind, CPh[rows], CPs[rows], RG, sol) if sol is not None else None
+        if rest.n:
+            xh = _affine(kind, PhH[h], xs, PsH[h], V, known.forced_output[h])
+            eh = known.known_output[first * ne : (first + size) * ne]
+            embed = ca.DM(np.kron(np.eye(size), problem.output.E))
+            value, slope, by_theta = observed[size](xh, eh, p, theta, z[first * nz : (first + size) * nz])
+            r = r + ca.mtimes(embed, value)
+            if M is not None:
+                moved = _sensitivity(kind, PhH[h], PsH[h], RG, sol or [])
+                M = M + ca.mtimes(embed, groups.chain(rest.n, nh, size, moved.shape[1])(slope, moved))
+                if problem.n_theta:
+                    M = M + ca.horzcat(kind(ca.DM.zeros(size * ny, 1 + problem.nx)), ca.mtimes(embed, by_theta))
+        out.append((r, M))
+        first += size
+    return out
+
+
+def _affine(kind: Any, Ph: np.ndarray, xs: Any, Ps: np.ndarray, V: Any, offset: Any) -> Any:
+    return ca.mtimes(kind(ca.DM(Ph)), xs) + ca.mtimes(kind(ca.DM(Ps)), V) + offset
+
+
+def _sensitivity(kind: Any, Ph: np.ndarray, Ps: np.ndarray, RG: Any, sol: list[Any]) -> Any:
+    """Ph RG + Ps sol: d x(points) / d [1; x0; theta]."""
+    total: Any = ca.mtimes(kind(ca.DM(Ph)), RG)
+    column = 0
+    for block in sol:
+        n = block.shape[0]
+        total = tiles.multiply_add(Ph.shape[0], n, block.shape[1], 1.0)(
+            total, kind(ca.DM(Ps[:, column : column + n])), block
+        )
+        column += n
+    return total

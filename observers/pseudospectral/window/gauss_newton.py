@@ -1,0 +1,202 @@
+"""One Gauss-Newton step of the windowed least-squares problem, and what it is subject to.
+
+With the linearisation of `condense`, the step in s = [x0; theta] minimises
+
+    |r + M_0 + M ds|^2_W + |s + ds - sbar|^2_Pinv + lam |ds|^2                   (the arrival cost where there is one)
+
+subject to bounds on theta and x0 (a box), on the states at the nodes, and on the outputs at the measured points (rows with one common
+slack). Where the free step satisfies them all it is the solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from observers.numerics import linear, tiles
+from observers.pseudospectral.window import condense
+from observers.pseudospectral.window.problem import LeastSquares
+from observers.pseudospectral.window.quadratic_program import quadratic_program
+
+SLACK_WEIGHT = 1e3  # of a violated row, against the mean square of the residuals in nominal units
+FAR = 1e-2  # weight of the step in Problem 3, which has no curvature of its own
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """What the solution is subject to: `lower`, `upper` (ns) bounds of s, `node_lower`, `node_upper` those of the problem's bounded
+    states, `tube` whether the outputs are bounded too; infinite entries bound nothing.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    node_lower: np.ndarray
+    node_upper: np.ndarray
+    tube: bool = False
+
+    @property
+    def any(self) -> bool:
+        bounds = np.concatenate([self.lower, self.upper, self.node_lower, self.node_upper])
+        return self.tube or bool(np.isfinite(bounds).any())
+
+
+@dataclass(frozen=True)
+class Solve:
+    """A problem, what it is subject to, and whether an arrival cost belongs to it.
+
+    `aim`: Problem 3 instead, in which the weights w (ny m) hold the direction in which the outputs are to go as far as they can.
+    """
+
+    problem: LeastSquares
+    constraints: Constraints
+    arrival: bool = False
+    aim: bool = False
+
+    @property
+    def given(self) -> dict[str, int]:
+        """Names and lengths of what is fixed within a solve."""
+        problem, ns = self.problem, len(self.problem.scale)
+        measured = problem.ny * problem.n_measured
+        sizes = {"data": problem.n_data, "p": problem.n_parameters, "y": measured, "w": measured, "lam": 1}
+        if problem.count > 1:
+            sizes["active"] = problem.count
+        if self.arrival:
+            sizes |= {"prior_mean": ns, "prior_information": ns * ns}
+        if self.constraints.tube:
+            sizes |= {"lower": measured, "upper": measured, "mask": measured}
+        return sizes
+
+
+def newton_step(solve: Solve) -> ca.Function:
+    """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, spread, slack).
+
+    The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
+    `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the samples' weighted sum of squares that the linearisation
+    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of their scaled normal matrix over the largest, `spread` the
+    largest diagonal entry of the whole one's inverse, `slack` by how much the rows had to be relaxed, in nominal units.
+    """
+    problem = solve.problem
+    kind = ca.MX if solve.constraints.any else problem.kind
+    V, Z, s, *_ = condense.symbols(problem, kind)
+    g = {name: kind.sym(name, size) for name, size in solve.given.items()}
+    whole = kind.sym("length")
+    length: Any = whole
+    at = condense.linearise(problem, V, Z, s, g["data"], g["p"], g["y"], g["w"], g.get("active"))
+    normal = at.normal
+    if solve.arrival:
+        normal = normal + _prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
+    if solve.aim:
+        normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
+    step, conditioning, cost, spread = _free(tuple(problem.scale))(normal, g["lam"])
+    if solve.arrival:
+        conditioning = _conditioning(tuple(problem.scale))(at.normal, g["lam"])
+    slack: Any = 0
+    if solve.constraints.any:
+        # A linear objective goes to and fro between two corners where the edge between them is curved: then the step is kept short.
+        reach = ca.if_else(length < 1, length, np.inf) if solve.aim else np.inf
+        step, slack, ok = _constrained(solve, s, at, normal, g, reach)
+        step = ca.if_else(ok, step, np.inf)
+        length = 1 if solve.aim else length
+    if not solve.aim and (solve.arrival or solve.constraints.any):
+        # The samples' alone, at the step that is taken.
+        cost = ca.fmax(_square(len(problem.scale) + 1)(at.normal, ca.vertcat(1, step)), 0)
+    full = ca.vertcat(1, length * step)
+    dV = (
+        ca.vertcat(*[tiles.product(block.shape[0], full.shape[0])(block, full) for block in at.sol])
+        if problem.n_rates
+        else kind(0, 1)
+    )
+    weights = np.tile(1 / problem.rate_scale, problem.segment.order * problem.count) if problem.n_rates else np.zeros(0)
+    size = ca.sumsqr(step / problem.scale) + (ca.sumsqr(dV * weights) if problem.n_rates else 0)
+    results = [V + dV, at.Z, s + length * step, size, cost, conditioning, spread, slack]
+    return ca.Function("newton", [V, Z, s, whole, *g.values()], results)
+
+
+def _prior(ns: int) -> ca.Function:
+    """|s + ds - mean|^2_information as a symmetric matrix in [1; ds]."""
+    s, mean, information = ca.SX.sym("s", ns), ca.SX.sym("mean", ns), ca.SX.sym("information", ns * ns)
+    P = ca.reshape(information, ns, ns)
+    right = ca.mtimes(P, s - mean)
+    full = ca.vertcat(ca.horzcat(ca.dot(s - mean, right), right.T), ca.horzcat(right, P))
+    return ca.Function("prior", [s, mean, information], [full])
+
+
+def _square(n: int) -> ca.Function:
+    """v' H v."""
+    H, v = ca.SX.sym("H", n, n), ca.SX.sym("v", n)
+    return ca.Function("square", [H, v], [ca.dot(v, ca.mtimes(H, v))])
+
+
+def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
+    """-2 w' M ds + FAR |ds / scale|^2 as a symmetric matrix in [1; ds]."""
+    M, w = ca.SX.sym("M", m, 1 + len(scale)), ca.SX.sym("w", m)
+    slope = -ca.mtimes(M[:, 1:].T, w)
+    curvature = ca.SX(ca.diag(ca.DM(FAR / np.array(scale) ** 2)))
+    full = ca.vertcat(ca.horzcat(0, slope.T), ca.horzcat(slope, curvature))
+    return ca.Function("aim", [M, w], [ca.densify(full)])
+
+
+def _free(scale: tuple[float, ...]) -> ca.Function:
+    """(step, conditioning, cost after the step, spread) from the matrix of squares and the regularisation, in units of `scale`."""
+    ns = len(scale)
+
+    def body(full: ca.SX, lam: ca.SX) -> tuple[ca.SX, ...]:
+        S = ca.diag(ca.DM(scale))
+        H, g = ca.mtimes([S, full[1:, 1:], S]), ca.mtimes(S, full[1:, 0])
+        solved, pivots = linear.ldl_solve(H + lam * ca.DM.eye(ns), ca.horzcat(-g, ca.DM.eye(ns)))
+        step, spread = solved[:, 0], ca.mmax(ca.diag(solved[:, 1:]))
+        cost = full[0, 0] + 2 * ca.dot(g, step) + ca.dot(step, ca.mtimes(H, step))
+        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), spread
+
+    return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
+
+
+def _conditioning(scale: tuple[float, ...]) -> ca.Function:
+    """That of `_free` alone."""
+    reduced = _free(scale)
+    full, lam = ca.SX.sym("full", len(scale) + 1, len(scale) + 1), ca.SX.sym("lam")
+    return ca.Function("conditioning", [full, lam], [reduced(full, lam)[1]])
+
+
+def _constrained(
+    solve: Solve, s: Any, at: condense.Linearised, normal: Any, g: dict[str, Any], reach: Any
+) -> tuple[Any, Any, Any]:
+    """(step, slack, ok): the step under the constraints, as a small quadratic program in units of the nominal values; none of its entries
+    beyond `reach`."""
+    problem, c = solve.problem, solve.constraints
+    ns, scale = len(problem.scale), ca.DM(problem.scale)
+    A, b, mask = [], [], []
+
+    def rows(slope: Any, room: Any, there: Any) -> None:
+        A.append(slope)
+        b.append(room)
+        mask.append(there)
+
+    if c.tube:
+        unit = ca.DM(np.tile(1 / problem.output_scale, problem.n_measured))
+        predicted, M = at.residual + at.sensitivity[:, 0] + g["y"], at.sensitivity[:, 1:] * ca.repmat(unit, 1, ns)
+        rows(M, unit * (g["upper"] - predicted), g["mask"])
+        rows(-M, unit * (predicted - g["lower"]), g["mask"])
+    if problem.bounded:
+        repeat = problem.segment.order * problem.count
+        unit = ca.DM(np.tile(1 / problem.scale[list(problem.bounded)], repeat))
+        predicted, G = at.nodes + at.node_sensitivity[:, 0], at.node_sensitivity[:, 1:]
+        for sign, bound in ((1.0, c.node_upper), (-1.0, c.node_lower)):
+            there = np.isfinite(bound)
+            room = sign * (ca.DM(np.tile(np.where(there, bound, 0.0), repeat)) - predicted)
+            rows(sign * G * ca.repmat(unit, 1, ns), unit * room, ca.DM(np.tile(there.astype(float), repeat)))
+    if not A:
+        rows(ca.DM.zeros(1, ns), ca.DM.zeros(1), ca.DM.zeros(1))
+    # The program is in the mean square of the residuals: the slack's weight is then one number for every window.
+    unit = 1 / ca.fmax(ca.sum1(g["w"]), 1e-300) if not solve.aim else ca.DM(1)
+    S = ca.diag(scale)
+    H = unit * (S @ normal[1:, 1:] @ S) + (0 if solve.aim else unit * g["lam"]) * ca.DM.eye(ns)
+    stacked = ca.vertcat(*A) @ S
+    lower, upper = ((ca.DM(bound) - s) / scale for bound in (c.lower, c.upper))
+    box = [ca.fmax(lower, -reach), ca.fmin(upper, reach)]
+    arguments = [H, unit * (S @ normal[1:, 0]), stacked, ca.vertcat(*b), ca.vertcat(*mask), *box, SLACK_WEIGHT]
+    q, slack, _, ok = quadratic_program(ns, stacked.shape[0])(*arguments)
+    return scale * q, slack, ok

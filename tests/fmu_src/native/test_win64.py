@@ -1,0 +1,268 @@
+"""The Windows binary, under wine: the whole FMI call sequence, and the numbers of linux64."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from build_fmus import SYSTEMS, build_all, choose
+from conftest import Slave
+from cosim.master import run
+from cosim.results import Result
+from fmu_src.compliance.files.binaries import functions
+from fmu_src.native import compiler as native
+from tools import WINE, need
+
+pytestmark = pytest.mark.long  # zig compiles its C library for Windows once: a minute
+
+DRIVER = Path(__file__).parent / "win64" / "drive.c"
+# A system for every kind of observer, with its plant.
+KINDS = (
+    "gong_example_2",
+    "gong_example_4_tube",
+    "gong_example_5_ukf",
+    "gong_example_6",
+    "james_baras_5_1",
+    "chen_yen_short",
+    "nikoukhah_motor",
+    "nikoukhah_motor_regional",
+    "nikoukhah_example_2_1",
+    "calvillo_alamir_full",
+)
+TOLERANCE = 1e-12  # of the variable's largest value
+# The tube's interior point stops at a tolerance: a last bit of a cosine can cost or save it a step, and the refined bounds pass that on.
+TOLERANCES = {"gong_example_4_tube": 1e-9}
+# The root of an ill-conditioned matrix' inverse times a sum of squared residuals: it magnifies what the platforms' cosines differ by.
+MAGNIFYING = {"diagnostics.deviation": 1e-9}
+ROUNDING = 1e-16  # a variable that is never larger, such as a violation of constraints that all hold, consists of rounding errors
+Answers = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Wine with the program that makes FMI calls, and where it keeps what it thinks is a Windows."""
+
+    program: Path
+    prefix: Path
+
+    def calls(self, library: Path, lines: Sequence[str], folder: Path, status: int = 0) -> Answers:
+        """The program's answers, cut into words; it must end with `status`."""
+        done = subprocess.run(
+            [str(WINE), str(self.program), str(library)],
+            input="\n".join(lines) + "\n",
+            capture_output=True,
+            text=True,
+            cwd=folder,
+            env=os.environ | {"WINEPREFIX": str(self.prefix), "WINEDEBUG": "-all"},
+        )
+        assert done.returncode == status, done.stdout[-500:] + done.stderr[-500:]
+        return [line.split() for line in done.stdout.splitlines()]
+
+
+@pytest.fixture(scope="session")
+def windows(tmp_path_factory: pytest.TempPathFactory) -> Windows:
+    need(WINE is not None, "wine64 is not installed here: make ci-tools")
+    folder = tmp_path_factory.mktemp("wine")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    cache = str(native.cache_folder())
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu", "-std=c99", "-O1"]
+    command += ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(headers), str(DRIVER), "-o", "drive.exe"]
+    environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}
+    subprocess.run(command, cwd=folder, env=environment, check=True)
+    return Windows(folder / "drive.exe", folder / "prefix")
+
+
+@pytest.fixture(scope="session")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the systems of KINDS; their FMUs hold the binaries of this machine and of Windows."""
+    folder = tmp_path_factory.mktemp("win64")
+    build_all(choose(KINDS), folder / "fmus", ["host", "win64"])
+    return folder
+
+
+@pytest.fixture(scope="session")
+def records(both: Path) -> dict[str, Result]:
+    """What the master records of the systems with this machine's binaries."""
+    return {name: run(both / "systems" / f"{name}.ssp") for name in KINDS}
+
+
+def kind(fmu: Path) -> frozenset[str]:
+    """What makes an FMU one of its kind: the tuning that it offers, and whether it has algebraic variables."""
+    names = [v.name.split("[")[0].split(".") for v in fmpy.read_model_description(str(fmu)).modelVariables]
+    return frozenset(
+        ".".join(name[:2]) if name[0] == "tuning" else name[0] for name in names if name[0] in ("tuning", "z")
+    )
+
+
+def test_no_kind_of_plant_or_observer_is_forgotten(catalogue: Path) -> None:
+    found: dict[frozenset[str], str] = {}
+    for system in (*KINDS, *SYSTEMS):
+        for fmu in SYSTEMS[system].fmus.values():
+            found.setdefault(kind(catalogue / "fmus" / f"{fmu}.fmu"), system)
+    assert set(found.values()) <= set(KINDS), found
+
+
+def bits(value: float) -> str:
+    return struct.pack(">d", value).hex()
+
+
+class Element:
+    """An element of a recorded system: the calls that repeat what the master did with it, and the numbers of then."""
+
+    def __init__(self, both: Path, system: str, name: str, result: Result, folder: Path):
+        recipe = SYSTEMS[system]
+        self.folder = Path(fmpy.extract(str(both / "fmus" / f"{recipe.fmus[name]}.fmu"), str(folder)))
+        description = fmpy.read_model_description(str(self.folder))
+        identifier = description.coSimulation.modelIdentifier
+        self.library = self.folder / "binaries" / "win64" / f"{identifier}.dll"
+        self.variables = {v.name: v for v in description.modelVariables}
+        self.step = recipe.step
+        self.steps = len(result.time) - 1
+        self._name, self._guid, self._result = name, description.guid, result
+        self._parameters = recipe.parameters.get(name, {})
+        ends = [(start, end.partition(".")) for start, end in recipe.connections]
+        self._sources = {variable: start for start, (element, _, variable) in ends if element == name}
+        outputs = [v for v in description.modelVariables if v.causality == "output"]
+        self._reals = [v for v in outputs if v.type == "Real"]
+        self._integers = [v for v in outputs if v.type != "Real"]
+
+    def set(self, name: str, value: float) -> str:
+        variable = self.variables[name]
+        if variable.type == "Real":
+            return f"setReal {variable.valueReference} {bits(value)}"
+        return f"setInteger {variable.valueReference} {int(value)}"
+
+    def instantiate(self) -> list[str]:
+        return [f"instantiate {self._name} {self._guid}", "logging"]
+
+    def initialise(self) -> list[str]:
+        """From instantiated (or reset) to initialised, with the outputs read."""
+        parameters = [self.set(name, value) for name, value in self._parameters.items()]
+        setup = f"setup {bits(self._result.time[0])} {bits(self._result.time[-1])}"
+        return [*parameters, setup, "enter", *self._inputs(0), "exit", *self._outputs()]
+
+    def steps_from(self, first: int, last: int) -> list[str]:
+        """Steps `first` to `last` - 1, each with its inputs before and its outputs after it."""
+        calls = []
+        for k in range(first, last):
+            calls += [*self._inputs(k), f"step {bits(self._result.time[k])} {bits(self.step)}", *self._outputs()]
+        return calls
+
+    def _inputs(self, k: int) -> list[str]:
+        return [self.set(variable, self._result[source][k]) for variable, source in self._sources.items()]
+
+    def _outputs(self) -> list[str]:
+        kinds = (("getReal", self._reals), ("getInteger", self._integers))
+        return [" ".join([call, *(str(v.valueReference) for v in found)]) for call, found in kinds if found]
+
+    def recorded(self) -> dict[str, np.ndarray]:
+        """The master's numbers, (steps + 1,) by variable."""
+        return {v.name: self._result[f"{self._name}.{v.name}"] for v in [*self._reals, *self._integers]}
+
+    def read(self, answers: Answers) -> dict[str, np.ndarray]:
+        """The numbers in the answers, likewise."""
+        columns: dict[str, np.ndarray] = {}
+        for kind, variables in (("real", self._reals), ("integer", self._integers)):
+            rows = [[number(kind, text) for text in line[1:]] for line in answers if line[0] == kind]
+            columns |= dict(zip((v.name for v in variables), np.array(rows).T, strict=True))
+        return columns
+
+
+def number(kind: str, text: str) -> float:
+    return float(struct.unpack(">d", bytes.fromhex(text))[0]) if kind == "real" else float(text)
+
+
+def values(answers: Answers) -> Answers:
+    return [line for line in answers if line[0] in ("real", "integer")]
+
+
+@pytest.mark.parametrize("name", ["plant", "observer"])
+@pytest.mark.parametrize("system", KINDS)
+def test_every_kind_of_observer_and_its_plant_give_linux64s_numbers_and_resume_from_a_file_bit_by_bit(
+    system: str, name: str, both: Path, records: dict[str, Result], windows: Windows, tmp_path: Path
+) -> None:
+    element = Element(both, system, name, records[system], tmp_path / "fmu")
+    half = element.steps // 2
+    first = windows.calls(
+        element.library,
+        [
+            *("version", *element.instantiate(), *element.initialise(), *element.steps_from(0, half), "save state.bin"),
+            *(*element.steps_from(half, element.steps), "terminate", "free"),
+        ],
+        tmp_path,
+    )
+    assert first[0] == ["version", "2.0", "default"]
+    found, wanted = element.read(first), element.recorded()
+    for variable, column in wanted.items():
+        tolerance = max(TOLERANCES.get(system, TOLERANCE), MAGNIFYING.get(variable, 0.0))
+        limit = max(tolerance * np.abs(column).max(), ROUNDING)
+        np.testing.assert_allclose(found[variable], column, rtol=0, atol=limit, err_msg=variable)
+
+    resumed = windows.calls(
+        element.library,
+        [
+            *(*element.instantiate(), *element.initialise(), "load state.bin"),
+            *(*element.steps_from(half, element.steps), "terminate", "reset", *element.initialise()),
+            *(*element.steps_from(0, 3), "terminate", "free"),
+        ],
+        tmp_path,
+    )
+    per_point = len(values(first)) // (element.steps + 1)
+    whole, again = values(first), values(resumed)[per_point:]
+    second_half = (element.steps - half) * per_point
+    assert again[:second_half] == whole[(half + 1) * per_point :]
+    assert again[second_half:] == whole[: 4 * per_point]
+
+
+def test_all_functions_of_the_standard_are_exported(both: Path, windows: Windows, tmp_path: Path) -> None:
+    library = Path(fmpy.extract(str(both / "fmus" / "duffing.fmu"), str(tmp_path))) / "binaries/win64/duffing.dll"
+    names = sorted(functions("CoSimulation"))
+    answers = windows.calls(library, [f"exported {name}" for name in [*names, "component", "flow"]], tmp_path)
+    assert answers == [["exported", "1"]] * len(names) + [["exported", "0"]] * 2
+
+
+@pytest.fixture
+def linux(both: Path, tmp_path: Path) -> Iterator[Slave]:
+    """The plant's binary for this machine, through fmpy."""
+    made = Slave(Path(fmpy.extract(str(both / "fmus" / "duffing.fmu"), str(tmp_path / "linux"))))
+    yield made
+    made.fmu.freeInstance()
+
+
+def test_input_derivatives_act_as_on_linux64(
+    both: Path, records: dict[str, Result], windows: Windows, linux: Slave, tmp_path: Path
+) -> None:
+    element = Element(both, KINDS[0], "plant", records[KINDS[0]], tmp_path / "fmu")
+    reference = {name: element.variables[name].valueReference for name in ("u", "x.x1", "x.x2")}
+    linux.initialize(SYSTEMS[KINDS[0]].parameters["plant"], stop=30.0)
+    calls, expected = [*element.instantiate(), *element.initialise()], []
+    for k in range(20):
+        linux.fmu.setRealInputDerivatives([reference["u"]], [1], [1.0 + k])
+        linux.step(0.1 * k, 0.1)
+        expected.append([linux.get("x.x1"), linux.get("x.x2")])
+        calls += [f"setDerivative {reference['u']} {bits(1.0 + k)}", f"step {bits(0.1 * k)} {bits(0.1)}"]
+        calls += [f"getReal {reference['x.x1']} {reference['x.x2']}"]
+    answers = [line for line in windows.calls(element.library, [*calls, "free"], tmp_path) if len(line) == 3]
+    found = [[number("real", text) for text in line[1:]] for line in answers if line[0] == "real"]
+    np.testing.assert_allclose(found, expected, rtol=TOLERANCE)
+    assert abs(expected[-1][0] - records[KINDS[0]]["plant.x.x1"][20]) > 0.01  # the derivatives do act
+
+
+def test_a_refused_call_is_an_error_with_a_message_and_not_a_crash(
+    both: Path, records: dict[str, Result], windows: Windows, tmp_path: Path
+) -> None:
+    element = Element(both, KINDS[0], "observer", records[KINDS[0]], tmp_path / "fmu")
+    wrong = windows.calls(element.library, ["instantiate observer {wrong}"], tmp_path, status=1)
+    assert wrong[0][:4] == ["log", "observer", "3", "logStatusError"] and wrong[-1] == ["failed", "instantiate", "3"]
+    ready = [*element.instantiate(), *element.initialise(), *element.steps_from(0, 3)]
+    backward = windows.calls(element.library, [*ready, f"step {bits(0.0)} {bits(0.1)}"], tmp_path, status=1)
+    assert backward[-2][:4] == ["log", "observer", "3", "logStatusError"] and backward[-1] == ["failed", "step", "3"]

@@ -1,0 +1,291 @@
+"""PythonFMUs: every promise of the native shell, the native FMU's numbers, and models that no C can be written for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from lxml import etree
+from scipy.integrate import solve_ivp
+from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
+from test_shell import CASES, grid
+
+from build_fmus import SYSTEMS, build_all, choose
+from conftest import COMPONENTS, Slave
+from cosim.master import run as master
+from fmu_src import PLATFORMS, ExportError, export
+from fmu_src.native.compiler import cache_folder, compile_library
+from fmu_src.python.target import CAPABILITIES
+from observers.instance import Instance
+from observers.model import Model, Variable
+from reference_models.duffing import DUFFING
+from reference_models.plant import plant
+from tools import ROOT
+
+# A PythonFMU's memory is Python's, as its model description says: the importer's callbacks serve nothing.
+del test_memory_that_is_refused_is_an_answer  # noqa: F821
+
+Path_of = Callable[[str], Path]
+
+
+@pytest.fixture(scope="session")
+def python_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path_of:
+    """The path of the PythonFMU called `name`, one of COMPONENTS, built at the first call."""
+    folder = tmp_path_factory.mktemp("python")
+    made: dict[str, Path] = {}
+
+    def make(name: str) -> Path:
+        if name not in made:
+            made[name] = export(COMPONENTS[name](), folder, target="python")
+        return made[name]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def unpacked(python_fmus: Path_of, tmp_path_factory: pytest.TempPathFactory) -> Path_of:
+    """The folder with the contents of the PythonFMU called `name`."""
+    made: dict[str, Path] = {}
+
+    def unpack(name: str) -> Path:
+        if name not in made:
+            made[name] = Path(fmpy.extract(str(python_fmus(name)), str(tmp_path_factory.mktemp(name))))
+        return made[name]
+
+    return unpack
+
+
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_fmpy_finds_nothing_wrong(python_fmus: Path_of, name: str) -> None:
+    assert validate_fmu(str(python_fmus(name))) == []
+
+
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_the_description_is_the_native_one_but_for_what_must_differ(
+    python_fmus: Path_of, built: Path_of, name: str
+) -> None:
+    def described(path: Path) -> tuple[etree._Element, dict[str, str]]:
+        with zipfile.ZipFile(path) as archive:
+            root = etree.fromstring(archive.read("modelDescription.xml"), etree.XMLParser(remove_blank_text=True))
+        simulation = root.find("CoSimulation")
+        capabilities = dict(simulation.attrib)
+        del root.attrib["guid"]
+        root.remove(simulation)
+        return root, capabilities
+
+    python, native = described(python_fmus(name)), described(built(name))
+    assert etree.tostring(python[0]) == etree.tostring(native[0])
+    assert python[1] == native[1] | CAPABILITIES
+    assert native[1] != python[1]
+
+
+def test_same_component_same_bytes_in_another_process(python_fmus: Path_of, tmp_path: Path) -> None:
+    script = "import sys; sys.path[:0] = {!r}; from toys import sampled_toy; from fmu_src import export; "
+    script += "export(sampled_toy(), {!r}, target='python')"
+    subprocess.run(
+        [sys.executable, "-c", script.format([str(ROOT / "tests"), str(ROOT)], str(tmp_path))],
+        env=os.environ | {"PYTHONHASHSEED": "7"},
+        check=True,
+    )
+    assert (tmp_path / "sampled_toy.fmu").read_bytes() == python_fmus("sampled_toy").read_bytes()
+
+
+def test_two_of_them_and_a_native_one_run_in_one_process(
+    slave: Callable[..., Slave], built: Path_of, tmp_path: Path
+) -> None:
+    plants, toy = [slave("duffing"), slave("duffing")], slave("sampled_toy")
+    native = Slave(Path(fmpy.extract(str(built("duffing")), str(tmp_path))))
+    start, drive = CASES["duffing"]
+    for instance in (*plants, native):
+        instance.initialize(start)
+    toy.initialize()
+    points = list(zip(grid("multiplied")[0], *grid("multiplied"), strict=True))[:50]
+    for k, (now, t, h) in enumerate(points):
+        for instance in (*plants, native):
+            for name, value in drive(now).items():
+                instance.set(name, value)
+            instance.step(t, h)
+        toy.step(k * 0.1, 0.1)
+    values = [instance.outputs() for instance in (*plants, native)]
+    assert values[0] == values[1]
+    assert values[0] == pytest.approx(values[2], rel=1e-12, abs=1e-12)
+    assert toy.get("diagnostics.rejected_samples") == 0
+    native.fmu.freeInstance()
+
+
+def test_the_fmu_needs_no_project_on_the_target(python_fmus: Path_of, tmp_path: Path) -> None:
+    """The modules come from the FMU: `observers` is not imported, even where it could be."""
+    script = (
+        "import sys, fmpy\n"
+        f"result = fmpy.simulate_fmu({str(python_fmus('sampled_toy'))!r}, stop_time=1.0, output_interval=0.1)\n"
+        "assert 'observers' not in sys.modules and 'fmu_src' not in sys.modules\n"
+        "print(result['estimate.level'][-1].hex())\n"
+    )
+    printed = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    face = Instance(COMPONENTS["sampled_toy"]())
+    for k in range(10):
+        face.step(k * 0.1, 0.1)
+    assert float.fromhex(printed.stdout.strip()) == face.get("estimate.level")
+
+
+NO_PYTHON = """
+#include <dlfcn.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include "fmi2Functions.h"
+
+static void say(fmi2ComponentEnvironment e, fmi2String name, fmi2Status status, fmi2String category, fmi2String text, ...)
+{
+    (void)e, (void)name, (void)category;
+    printf("%d %s", (int)status, text);
+}
+
+int main(int argc, char **argv)
+{
+    fmi2CallbackFunctions callbacks = {say, calloc, free, NULL, NULL};
+    void *library = argc > 2 ? dlopen(argv[1], RTLD_NOW) : NULL;
+    if (!library)
+        return 2;
+    fmi2InstantiateTYPE *instantiate;
+    *(void **)&instantiate = dlsym(library, "fmi2Instantiate");
+    return instantiate("x", fmi2CoSimulation, argv[2], "", &callbacks, 0, 0) != NULL;
+}
+"""
+
+
+@pytest.mark.long  # where the C library's start-up code is not in the compiler's cache yet
+@pytest.mark.skipif(sys.platform != "linux", reason="an ELF host")
+def test_a_host_without_python_is_told_so(unpacked: Path_of, tmp_path: Path) -> None:
+    (tmp_path / "host.c").write_text(NO_PYTHON)
+    headers = Path(fmpy.__file__).parent / "c-code"
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS["linux64"].target]
+    cache = {"ZIG_GLOBAL_CACHE_DIR": str(cache_folder()), "ZIG_LOCAL_CACHE_DIR": str(cache_folder())}
+    command = [*compiler, "-I", str(headers), "host.c", "-ldl", "-o", "host"]
+    subprocess.run(command, cwd=tmp_path, env=os.environ | cache, check=True)
+    folder = unpacked("sampled_toy")
+    guid = fmpy.read_model_description(str(folder)).guid
+    library = folder / "binaries" / "linux64" / "sampled_toy.so"
+    result = subprocess.run([tmp_path / "host", library, guid], capture_output=True, text=True, check=True)
+    assert result.stdout.startswith("3 fmi2Instantiate: there is no Python in this process")
+
+
+@pytest.fixture(scope="session")
+def friction(tmp_path_factory: pytest.TempPathFactory) -> ca.Function:
+    """A function that CasADi knows from a shared library only: sin(x) + tanh(3 x)."""
+    folder = tmp_path_factory.mktemp("friction")
+    (folder / "friction.c").write_text(
+        "#include <math.h>\nint friction(const double **arg, double **res, long long *iw, double *w, int mem);\n"
+        '__attribute__((visibility("default")))\n'
+        "int friction(const double **arg, double **res, long long *iw, double *w, int mem)\n"
+        "{ (void)iw, (void)w, (void)mem; if (res[0]) res[0][0] = sin(arg[0][0]) + tanh(3 * arg[0][0]); return 0; }\n"
+    )
+    (folder / "built.so").write_bytes(compile_library("friction", folder, "linux64"))
+    return ca.external("friction", str(folder / "built.so"), {"enable_fd": True})
+
+
+def swing(friction: ca.Function) -> Model:
+    return Model(
+        name="swing",
+        states=[Variable("angle", start=1.0), Variable("rate")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [x.rate, -x.angle - 0.1 * friction(x.rate)],
+        output=lambda x, u, p, t: [x.angle],
+    )
+
+
+class Python(ca.Callback):
+    """A function that CasADi knows as Python code only."""
+
+    def __init__(self) -> None:
+        ca.Callback.__init__(self)
+        self.construct("python_friction", {"enable_fd": True})
+
+    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+        return [ca.tanh(arguments[0])]
+
+
+def test_a_model_with_an_external_function_runs_by_this_target_only(friction: ca.Function, tmp_path: Path) -> None:
+    component = plant(swing(friction))
+    with pytest.raises(ExportError, match=r"'swing': CasADi cannot write C .* 'flow': .* an external function"):
+        export(component, tmp_path)
+    path = export(component, tmp_path, target="python")
+    result = fmpy.simulate_fmu(str(path), stop_time=5.0, output_interval=0.1, output=["y"])
+
+    def rates(t: float, x: np.ndarray) -> list[float]:
+        return [x[1], -x[0] - 0.1 * (np.sin(x[1]) + np.tanh(3 * x[1]))]
+
+    reference = solve_ivp(rates, (0, 5), [1.0, 0.0], rtol=1e-11, atol=1e-12, t_eval=result["time"])
+    assert np.abs(result["y"] - reference.y[0]).max() < 1e-9
+
+
+def test_a_function_that_is_python_code_is_refused_by_both_targets_with_the_reason(tmp_path: Path) -> None:
+    component = plant(swing(Python()))
+    with pytest.raises(ExportError, match=r"CasADi cannot write C .* Callback"):
+        export(component, tmp_path)
+    with pytest.raises(ExportError, match=r"cannot serialise the function 'flow': .*Callback"):
+        export(component, tmp_path, target="python")
+
+
+def test_unknown_targets_and_platforms_are_named(tmp_path: Path) -> None:
+    component = plant(DUFFING)
+    with pytest.raises(ExportError, match="target 'java' is unknown; known: native, python"):
+        export(component, tmp_path, target="java")
+    with pytest.raises(ExportError, match="PythonFMU has no library for darwin64; it has linux64, win64"):
+        export(component, tmp_path, ["darwin64"], target="python")
+    export(component, tmp_path, ["all"], target="python")
+    with zipfile.ZipFile(tmp_path / "duffing.fmu") as archive:
+        binaries = {name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/")}
+    assert binaries == {"linux64", "win64"}
+
+
+def test_the_command_line_builds_them_and_names_what_it_does_not_know(tmp_path: Path) -> None:
+    def build_fmus(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, str(ROOT / "build_fmus.py"), "--only", "sine", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+
+    assert build_fmus("--target", "python").returncode == 0
+    with zipfile.ZipFile(tmp_path / "fmus" / "sine.fmu") as archive:
+        assert "resources/component.json" in archive.namelist()
+    refused = build_fmus("--target", "java")
+    assert refused.returncode == 2
+    assert refused.stderr.strip().splitlines()[-1] == "target 'java' is unknown; known: native, python"
+
+
+def is_noisy(name: str) -> bool:
+    """Does a sensor of this system make noise?"""
+    return any(values.get("sensor.noise_bound", 0.0) > 0 for values in SYSTEMS[name].parameters.values())
+
+
+def largest_difference(native: Path, python: Path) -> float:
+    """Of any variable at any time, relative to the variable's largest value or 1."""
+    results = [master.run(path) for path in (native, python)]
+    assert results[0].names == results[1].names
+    scale = np.maximum(1, np.nanmax(np.abs(results[0].values), axis=0))
+    return float(np.nanmax(np.abs(results[0].values - results[1].values) / scale))
+
+
+@pytest.mark.parametrize("name", ["gong_example_2", "closed_loop_motor"])
+def test_a_system_of_python_fmus_gives_the_native_numbers(name: str, catalogue: Path, tmp_path: Path) -> None:
+    build_all(choose([name]), tmp_path / "fmus", ["host"], target="python")
+    path = Path("systems") / f"{name}.ssp"
+    assert largest_difference(catalogue / path, tmp_path / path) < (1e-9 if is_noisy(name) else 1e-12)
+
+
+@pytest.mark.long
+def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue: Path, tmp_path: Path) -> None:
+    build_all(choose([]), tmp_path / "fmus", ["host"], target="python")
+    differences = {
+        name: largest_difference(catalogue / "systems" / f"{name}.ssp", tmp_path / "systems" / f"{name}.ssp")
+        for name in SYSTEMS
+    }
+    limits = {name: 1e-9 if is_noisy(name) else 1e-12 for name in SYSTEMS}
+    assert {name: value for name, value in differences.items() if not value <= limits[name]} == {}

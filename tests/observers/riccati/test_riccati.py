@@ -1,0 +1,152 @@
+"""The Riccati observer: against Kalman filters and scipy's integration, and where a step, a sample or a design fails."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from linear_models import entries, kalman, linear
+from observers.instance import Instance
+from observers.model import Model, ModelError, Variable
+from observers.riccati import james_baras
+from observers.riccati.observer import CODE
+from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
+from reference_models.plant import plant
+
+
+@pytest.mark.parametrize("stiff", [False, True], ids=["Runge-Kutta", "exponential"])
+@pytest.mark.parametrize("parts", [1, 2])
+def test_with_diagonal_tuning_and_either_step_it_is_the_sampled_kalman_filter(stiff, parts):
+    n, ny, Ts = 4, 2, 0.1
+    rng = np.random.default_rng(n)
+    A, C = rng.normal(size=(n, n)) - np.eye(n), rng.normal(size=(ny, n))
+    N, R, Q0 = rng.uniform(0.5, 2, n), rng.uniform(0.5, 2, ny), rng.uniform(0.5, 2, n)
+    component = james_baras(linear(n, ny), sample_time=Ts, N=N, R=R, Q0=Q0, expose=["Q"], stiff=stiff)
+    y, u, m0 = rng.normal(size=(60, ny)), rng.normal(size=60), rng.normal(size=n)
+    run = Instance(component, {**entries(A, C), **{f"guess.x{i}": value for i, value in enumerate(m0)}})
+    names = [f"estimate.x{i}" for i in range(n)] + [
+        f"diagnostics.Q[{i},{j}]" for i in range(1, n + 1) for j in range(1, n + 1)
+    ]
+    for k, expected in enumerate(kalman(A, C, np.diag(N), np.diag(R), np.diag(Q0), m0, y, u, Ts)):
+        for i in range(ny):
+            run.set(f"y{i}", y[k, i])
+        run.set("u", u[k])
+        for part in range(parts):
+            run.step((k + part / parts) * Ts, Ts / parts)
+        np.testing.assert_allclose([run.get(name) for name in names], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_rejected_output_leaves_the_estimate_to_the_others_and_all_rejected_to_the_model():
+    A, C = np.array([[-1.0, 0.5], [0.0, -0.3]]), np.eye(2)
+    component = james_baras(linear(2, 2), sample_time=0.1)
+    one, none = (Instance(component, {**entries(A, C), "guess.x0": 1.0}) for _ in range(2))
+    one.set("y0", math.nan)
+    one.set("y1", 3.0)
+    none.set("y0", math.inf)
+    none.set("y1", math.nan)
+    for run in (one, none):
+        run.step(0.0, 0.1)
+        assert run.get("diagnostics.status") == CODE.sample_rejected
+        assert run.get("diagnostics.rejected_samples") == 1
+        assert np.isfinite(run.z).all()
+    np.testing.assert_allclose(
+        [none.get("estimate.x0"), none.get("estimate.x1")], expm(0.1 * A) @ [1.0, 0.0], atol=1e-12
+    )
+    assert one.get("filtered.x1") == pytest.approx(3.0 / (1 + 10))  # Q0 = 1, Rd = 1 / 0.1
+    assert one.get("filtered.x0") == 1.0
+
+
+def test_a_model_that_escapes_to_infinity_is_held_counted_and_starts_again():
+    model = Model(
+        name="escape",
+        states=[Variable("x", start=1e3)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [x.x**3],
+        output=lambda x, u, p, t: [x.x],
+    )
+    run = Instance(james_baras(model, sample_time=0.1, stiff=False))
+    run.set("y", 1e3)
+    run.step(0.0, 0.1)
+    assert run.get("diagnostics.status") == CODE.solver_failed
+    assert run.get("diagnostics.solver_failures") == 1
+    assert np.isfinite(run.z).all()
+    run.set("y", 0.0)
+    for k in range(1, 60):
+        run.step(0.1 * k, 0.1)
+        assert np.isfinite(run.z).all()
+
+
+def test_a_stiff_drift_takes_the_exponential_step():
+    model = Model(
+        name="stiff",
+        states=[Variable("x1", start=1.0), Variable("x2", start=1.0)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-1e4 * (x.x1 - ca.cos(x.x2)), -x.x2 + 0.1 * ca.sin(t)],
+        output=lambda x, u, p, t: [x.x2],
+    )
+    run, true = Instance(james_baras(model, sample_time=0.05, guess={"x2": 0.2})), np.array([1.0, 1.0])
+    for k in range(100):
+        run.set("y", true[1])
+        run.step(0.05 * k, 0.05)
+        true = solve_ivp(
+            lambda t, x: [-1e4 * (x[0] - math.cos(x[1])), -x[1] + 0.1 * math.sin(t)],
+            (0.05 * k, 0.05 * (k + 1)), true, method="Radau", rtol=1e-9, atol=1e-11,
+        ).y[:, -1]  # fmt: skip
+    assert abs(run.get("estimate.x1") - true[0]) < 1e-3 and abs(run.get("estimate.x2") - true[1]) < 1e-3
+
+
+def test_an_unknown_parameter_is_estimated_as_a_state_that_does_not_move():
+    model = Model(
+        name="decay",
+        states=[Variable("x", start=1.0)],
+        unknown_parameters=[Variable("theta", start=0.5)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-p.theta * x.x + 1],
+        output=lambda x, u, p, t: [x.x],
+    )
+    run = Instance(james_baras(model, sample_time=0.01, N=[0.1, 0.5], R=0.01, guess={"theta": 0.2}))
+    true = Instance(plant(model))
+    for k in range(2000):
+        run.set("y", true.get("y"))
+        for one in (run, true):
+            one.step(0.01 * k, 0.01)
+    assert run.get("estimate.theta") == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"N": [1.0, 0.0]}, ("N", "x2", "0")),
+        ({"N": [1.0, 2.0, 3.0]}, ("N", "(3,)", "(2,)")),
+        ({"R": math.nan}, ("R", "nan")),
+        ({"N": [[1.0, 1.0], [1.0, 1.0]]}, ("N", "singular", "rank 1 of 2")),
+        ({"Q0": [[1.0, 2.0], [2.0, 1.0]]}, ("Q0", "positive definite")),
+        ({"expose": ["P"]}, ("expose", "'P'", "Q")),
+    ],
+)
+def test_an_impossible_design_is_refused_by_name(arguments, words):
+    with pytest.raises(ValueError) as caught:
+        james_baras(JAMES_BARAS_5_2, sample_time=0.01, **arguments)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("rate", [-1.0, 0.0, 0.5])
+def test_a_state_that_no_output_sees_is_refused_by_name_unless_it_decays(rate):
+    model = Model(
+        name="blind",
+        states=[Variable("seen"), Variable("unseen")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-x.seen, rate * x.unseen],
+        output=lambda x, u, p, t: [x.seen],
+    )
+    if rate < 0:
+        run = Instance(james_baras(model, sample_time=0.1), {"guess.unseen": 1.0})
+        run.step(0.0, 0.1)
+        assert run.get("estimate.unseen") == pytest.approx(math.exp(-0.1))
+    else:
+        with pytest.raises(ModelError, match=r"blind.*unseen"):
+            james_baras(model, sample_time=0.1)

@@ -1,0 +1,154 @@
+"""The unscented Kalman filter against the Kalman filter, its own covariance, and the paper's comparison."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from build_fmus import FMUS
+from cosim.master import run
+from observers.instance import Instance
+from observers.model import Model, ModelError, Variable
+from observers.ukf import ukf
+from observers.ukf.observer import CODE
+from reference_models.duffing import DUFFING
+
+A = np.array([[0.0, 1.0], [-2.0, -0.3]])
+C = np.array([[1.0, 0.0], [1.0, 1.0]])
+Q, R, P0, TS = np.diag([0.1, 0.3]) ** 2, np.diag([0.2, 0.1]) ** 2, np.diag([1.0, 4.0]), 0.1
+F = expm(A * TS)
+G = expm(np.block([[A, np.array([[0.0], [1.0]])], [np.zeros((1, 3))]]) * TS)[:2, 2]
+LINEAR = Model(
+    name="linear",
+    states=[Variable("x1"), Variable("x2")],
+    inputs=[Variable("u")],
+    outputs=[Variable("y1"), Variable("y2")],
+    ode=lambda x, u, p, t: [x.x2, -2 * x.x1 - 0.3 * x.x2 + u.u],
+    output=lambda x, u, p, t: [x.x1, x.x1 + x.x2],
+)
+TUNED = dict(
+    process_noise={"x1": 0.1, "x2": 0.3}, measurement_noise={"y1": 0.2, "y2": 0.1}, initial_std={"x1": 1.0, "x2": 2.0}
+)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+@pytest.mark.parametrize("kappa", [0.0, 1.0, 3.0])
+def test_on_a_linear_model_it_is_the_kalman_filter_with_missing_samples_too(missing: float, kappa: float) -> None:
+    run_ukf = Instance(ukf(LINEAR, sample_time=TS, **TUNED), {"tuning.kappa": kappa})
+    rng = np.random.default_rng(1)
+    x, P = np.zeros(2), P0
+    for k in range(150):
+        y, u = rng.normal(size=2), rng.normal()
+        y[rng.random(2) < missing] = np.nan
+        for name, value in (("y1", y[0]), ("y2", y[1]), ("u", u)):
+            run_ukf.set(name, value)
+        run_ukf.step(k * TS, TS)
+        P = P + Q * TS
+        here = np.isfinite(y)
+        H, noise = C[here], R[np.ix_(here, here)]
+        if here.any():
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + noise)
+            x, P = x + K @ (y[here] - H @ x), (np.eye(2) - K @ H) @ P
+        np.testing.assert_allclose([run_ukf.get("filtered.x1"), run_ukf.get("filtered.x2")], x, atol=1e-10)
+        x, P = F @ x + G * u, F @ P @ F.T
+        np.testing.assert_allclose([run_ukf.get("estimate.x1"), run_ukf.get("estimate.x2")], x, atol=1e-9)
+        found = [run_ukf.get("diagnostics.std.x1"), run_ukf.get("diagnostics.std.x2")]
+        np.testing.assert_allclose(found, np.sqrt(np.diag(P)), atol=1e-9)
+
+
+def test_its_errors_are_as_large_as_its_covariance_says() -> None:
+    """Normalised squared errors of 60 runs on a nonlinear pendulum: 1 on average for an honest filter."""
+    model = Model(
+        name="pendulum",
+        states=[Variable("angle"), Variable("rate")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [x.rate, -4 * ca.sin(x.angle) - 0.2 * x.rate],
+        output=lambda x, u, p, t: [ca.sin(x.angle)],
+    )
+    observer = ukf(
+        model,
+        sample_time=0.1,
+        process_noise={"angle": 1e-9, "rate": 0.2},
+        measurement_noise={"y": 0.05},
+        initial_std={"angle": 0.2, "rate": 0.2},
+    )
+    rng = np.random.default_rng(8)
+    squares = []
+    for _ in range(60):
+        x, o = rng.normal(0, 0.2, 2), Instance(observer)
+        for k in range(30):
+            x = x + np.array([0.0, rng.normal(0, 0.2 * np.sqrt(0.1))])
+            o.set("y", np.sin(x[0]) + rng.normal(0, 0.05))
+            o.step(0.1 * k, 0.1)
+            if k == 29:
+                break
+            for _ in range(20):  # small steps: only the filter's own integrator is of high order
+                middle = x + 0.0025 * np.array([x[1], -4 * np.sin(x[0]) - 0.2 * x[1]])
+                x = x + 0.005 * np.array([middle[1], -4 * np.sin(middle[0]) - 0.2 * middle[1]])
+        # The filter's deviation is of the step's end, 0.1 s after the sample: close to that of the sample instant.
+        squares.append(((o.get("filtered.angle") - x[0]) / o.get("diagnostics.std.angle")) ** 2)
+        squares.append(((o.get("filtered.rate") - x[1]) / o.get("diagnostics.std.rate")) ** 2)
+    assert 0.5 < np.mean(squares) < 1.6, np.mean(squares)
+
+
+def test_it_follows_the_papers_jumps_with_process_noise_and_freezes_without(catalogue: Path) -> None:
+    system = catalogue / "systems" / "gong_example_2_ukf.ssp"
+    tracking = run(system)
+    frozen = run(system, overrides={"observer.tuning.process_noise.theta": 0.0})
+    for result, small in ((tracking, True), (frozen, False)):
+        error = np.abs(result["observer.estimate.theta"] - result["plant.x.theta"])
+        assert error[95:100].max() < 1e-3  # a fixed theta is found by both
+        for settled in (slice(150, 200), slice(250, 300)):
+            assert (error[settled].max() < 1e-4) == small
+        x1 = np.abs(result["observer.estimate.x1"] - result["plant.x.x1"])
+        assert (x1[150:200].max() < 1e-5) == small
+
+
+def test_the_python_face_and_the_fmu_agree(catalogue: Path) -> None:
+    noisy = {"plant.sensor.noise_bound": 0.05, "plant.sensor.sample_time": 0.1}
+    result = run(catalogue / "systems" / "gong_example_2_ukf.ssp", overrides=noisy)
+    o = Instance(FMUS["duffing_ukf"][0]())
+    names = [port.name for port in o.component.outputs]
+    for k in range(len(result.time) - 1):
+        o.set("y", result["plant.y"][k])
+        o.step(result.time[k], result.step)
+        expected = [result[f"observer.{name}"][k + 1] for name in names]
+        np.testing.assert_allclose(o.outputs(), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+def test_a_measurement_that_is_not_finite_is_rejected_and_counted(catalogue_slave: Callable, bad: float) -> None:
+    o = catalogue_slave("duffing_ukf").initialize()
+    for k in range(30):
+        o.set("y", bad if k == 20 else 2.0 * np.cos(0.3 * k))
+        before = o.get("estimate.x1")
+        o.step(0.1 * k, 0.1)
+        if k == 20:
+            assert o.get("diagnostics.status") == CODE.sample_rejected
+            assert o.get("filtered.x1") == pytest.approx(before, abs=1e-14)
+    assert o.get("diagnostics.rejected_samples") == 1 and o.get("diagnostics.status") == CODE.corrected
+    assert all(np.isfinite(value) for value in o.outputs().values())
+
+
+@pytest.mark.parametrize("outlier", [1e3, 1e9, 1e140])
+def test_no_outlier_locks_the_filter_out(outlier: float) -> None:
+    o = Instance(ukf(DUFFING, sample_time=0.1, process_noise={"theta": 0.1}, measurement_noise={"y": 0.01}))
+    p = Instance(FMUS["duffing"][0]())
+    for k in range(400):
+        o.set("y", p.get("y") + (outlier if k in (20, 22) else 0.0))
+        p.step(0.1 * k, 0.1)
+        o.step(0.1 * k, 0.1)
+        assert np.isfinite(o.outputs()).all()
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-3
+
+
+def test_a_tuning_of_something_unknown_is_refused_by_name() -> None:
+    with pytest.raises(ModelError, match="process_noise of 'thetta'; known: x1, x2, theta"):
+        ukf(DUFFING, sample_time=0.1, process_noise={"thetta": 1.0})
+    with pytest.raises(ModelError, match="measurement_noise of 'u'; known: y"):
+        ukf(DUFFING, sample_time=0.1, measurement_noise={"u": 1.0})
+    with pytest.raises(ValueError, match="sample_time = 0 must be at least"):
+        ukf(DUFFING, sample_time=0.0)
