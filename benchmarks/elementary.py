@@ -18,7 +18,7 @@ from rich.table import Table
 from benchmarks.native import Experiment, build_driver, drive, unpack
 from fmu_src import export
 from observers.component import Component
-from observers.elementary import calvillo_alamir
+from observers.elementary import elementary
 from observers.elementary.iteration import elementary_solution
 from observers.elementary.problems import GRID, LQ, decompose
 from observers.instance import Instance
@@ -142,7 +142,7 @@ def main() -> None:
         directory = Path(scratch).resolve()
         driver = build_driver(directory)
         for number, (label, (model, levels)) in enumerate(cases.items()):
-            component = calvillo_alamir(model, levels=levels, name=f"elementary_{number}", **options)
+            component = elementary(model, levels=levels, name=f"elementary_{number}", **options)
             ns = nanoseconds(component, measured(model), driver, directory)
             table.add_row(label, f"{np.median(ns) / 1e3:.1f} us", f"{ns.min() / 1e3:.1f} us")
             first = float(np.median(ns)) if first is None else first

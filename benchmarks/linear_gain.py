@@ -13,9 +13,9 @@ from rich.table import Table
 from benchmarks.native import Experiment, build_driver, drive, unpack
 from fmu_src import export
 from observers.component import Component
-from observers.least_squares import chen_yen
+from observers.least_squares import least_squares
 from observers.model import Model, Variable
-from observers.riccati import james_baras
+from observers.riccati import riccati
 
 SIZES = (2, 6, 12, 30)
 SAMPLE_TIME = 0.01  # [s]
@@ -54,8 +54,8 @@ def nanoseconds(component: Component, driver: Path, directory: Path) -> float:
 def main() -> None:
     """Print the time for a sample against n, the growth's exponent between two sizes, and whether the promise is kept."""
     makers: dict[str, Callable[[Model], Component]] = {
-        "Riccati": lambda model: james_baras(model, sample_time=SAMPLE_TIME),
-        "least squares": lambda model: chen_yen(model, sample_time=SAMPLE_TIME, T=0.5, gamma=10.0),
+        "Riccati": lambda model: riccati(model, sample_time=SAMPLE_TIME),
+        "least squares": lambda model: least_squares(model, sample_time=SAMPLE_TIME, T=0.5, gamma=10.0),
     }
     out = Console()
     table = Table("observer", *[f"n = {n}" for n in SIZES], "growth", title="Time per sample, driven natively")

@@ -13,9 +13,9 @@ from reference_models import nikoukhah_1995
 
 # Label and FMU; the first is the one that the promise is about.
 OBSERVERS = {
-    "w-form, exact placement": "motor_nikoukhah",
-    "w-form, regional placement": "motor_nikoukhah_regional",
-    "BDF of order 2, exact placement": "motor_nikoukhah_bdf",
+    "w-form, exact placement": "motor_canonical_dae",
+    "w-form, regional placement": "motor_canonical_dae_regional",
+    "BDF of order 2, exact placement": "motor_canonical_dae_bdf",
 }
 SAMPLES, RUNS = 6000, 30  # 6 s
 

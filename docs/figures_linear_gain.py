@@ -1,4 +1,4 @@
-"""Makes the pictures of james_baras.md and chen_yen.md from the built systems, and prints what they measure.
+"""Makes the pictures of riccati.md and least_squares.md from the built systems, and prints what they measure.
 
 python docs/figures_linear_gain.py
 """
@@ -18,9 +18,9 @@ from scipy.linalg import expm
 from cosim.master import run
 from cosim.results import Result
 from observers.instance import Instance
-from observers.least_squares import chen_yen
+from observers.least_squares import least_squares
 from observers.model import Model, Variable
-from observers.riccati import james_baras
+from observers.riccati import riccati
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.james_baras_5_1 import JAMES_BARAS_5_1
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
@@ -51,7 +51,7 @@ def riccati_errors(runs: dict[str, Result]) -> None:
     axis.set_xlabel("time [s]")
     axis.set_ylabel("|e|")
     axis.legend(frameon=False)
-    save(figure, "james_baras_errors")
+    save(figure, "riccati_errors")
 
 
 def riccati_order() -> None:
@@ -59,7 +59,7 @@ def riccati_order() -> None:
 
     def estimate(Ts: float) -> np.ndarray:
         design = dict(sample_time=Ts, N=math.sqrt(0.2), R=3.0, Q0=0.01, guess={"x1": 0.0, "x2": 0.0})
-        observer, true = Instance(james_baras(JAMES_BARAS_5_2, **design)), Instance(plant(JAMES_BARAS_5_2))
+        observer, true = Instance(riccati(JAMES_BARAS_5_2, **design)), Instance(plant(JAMES_BARAS_5_2))
         for k in range(round(1 / Ts)):
             observer.set("y", true.get("y"))
             for one in (observer, true):
@@ -75,10 +75,10 @@ def riccati_order() -> None:
     axis.loglog(sample_times, gaps, "o-", color=BLUE, markersize=3)
     axis.set_xlabel("sample time [s]")
     axis.set_ylabel("distance to the continuous observer")
-    save(figure, "james_baras_order")
+    save(figure, "riccati_order")
 
 
-def least_squares(short: Result, long: Result) -> None:
+def least_squares_errors(short: Result, long: Result) -> None:
     figure, (above, below) = plt.subplots(2, 1, figsize=(7, 4.5), sharex=True)
     for result, label, colour in ((short, "T = 0.25 s", BLUE), (long, "T = 2 s", ORANGE)):
         above.semilogy(result.time, error(result), color=colour, label=label)
@@ -90,7 +90,7 @@ def least_squares(short: Result, long: Result) -> None:
     above.legend(frameon=False)
     below.set_ylabel("contraction of an interval")
     below.set_xlabel("time [s]   (solid: actual, dotted: certified)")
-    save(figure, "chen_yen_errors")
+    save(figure, "least_squares_errors")
 
 
 def needed_gain(T: float, starts: np.ndarray) -> tuple[float, float]:
@@ -102,7 +102,7 @@ def needed_gain(T: float, starts: np.ndarray) -> tuple[float, float]:
     def factors(product: float) -> np.ndarray:
         found = []
         for start in starts:
-            observer = Instance(chen_yen(CHEN_YEN, sample_time=0.01, T=T, gamma=product / 0.1, p0=0.1), t0=start)
+            observer = Instance(least_squares(CHEN_YEN, sample_time=0.01, T=T, gamma=product / 0.1, p0=0.1), t0=start)
             for k in range(round(T / 0.01) + 1):
                 observer.step(start + 0.01 * k, 0.01)
             found.append(observer.get("diagnostics.certified_contraction"))
@@ -127,7 +127,7 @@ def switching_error(max_step: float) -> float:
         output=lambda x, u, p, t: [x.x1],
     )
     observer = Instance(
-        chen_yen(model, sample_time=Ts, T=1.0, gamma=20.0, max_step=max_step, guess={"x1": 3.0, "x2": 0.0})
+        least_squares(model, sample_time=Ts, T=1.0, gamma=20.0, max_step=max_step, guess={"x1": 3.0, "x2": 0.0})
     )
     x, largest = np.array([1.0, -1.0]), 0.0
     for k in range(200):
@@ -151,7 +151,7 @@ def bound_of_corollary_3_1() -> tuple[float, float]:
     """
     A, C = np.array([[0, 1, 0], [0, 0, 1], [-1, -2, -0.5]]), np.array([[1.0, 0, 0]])
     largest = next(
-        port.start for port in james_baras(JAMES_BARAS_5_1, sample_time=0.01).constants if port.name == "certificate.A"
+        port.start for port in riccati(JAMES_BARAS_5_1, sample_time=0.01).constants if port.name == "certificate.A"
     )
     printed, corrected = [], []
     for tau in np.geomspace(0.05, 5, 60):
@@ -210,4 +210,4 @@ if __name__ == "__main__":
     labels = ("5.1", "5.2, x0 = (1, -1), m0 = 0", "5.2, x0 = (3, 2), m0 = (-3, -2)")
     riccati_errors(dict(zip(labels, (results[name] for name in systems[:3]), strict=True)))
     riccati_order()
-    least_squares(results["chen_yen_short"], results["chen_yen_long"])
+    least_squares_errors(results["chen_yen_short"], results["chen_yen_long"])

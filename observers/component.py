@@ -80,8 +80,9 @@ class Component:
         documentation: the component's method and limits, as HTML paragraphs for the FMU's documentation page.
 
     Raises:
-        ValueError: functions whose sizes contradict the ports or whose results are sparse, names that are not unique or unknown, a
-            sample time that is neither 0 nor at least SHORTEST_SAMPLE_TIME, a time span that is not positive.
+        ValueError: functions whose sizes contradict the ports or whose results are sparse; names that are unknown, not unique, or the
+            branch of another (`x` beside `x.x1`); a sample time that is neither 0 nor at least SHORTEST_SAMPLE_TIME; a time span that
+            is not positive.
     """
 
     name: str
@@ -125,6 +126,13 @@ class Component:
             if port.name in seen:
                 raise ValueError(f"component '{self.name}': two ports are called '{port.name}'")
             seen.add(port.name)
+        for name in seen:
+            parts = name.split(".")
+            for k in range(1, len(parts)):
+                if (branch := ".".join(parts[:k])) in seen:
+                    raise ValueError(
+                        f"component '{self.name}': the port '{branch}' has the name of the branch that '{name}' stands on"
+                    )
         fixed = {p.name for p in self.parameters if p.variability == "fixed"}
         wanted = [*self.breaks, *([self.sample_time] if isinstance(self.sample_time, str) else [])]
         for name in wanted:

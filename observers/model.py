@@ -24,6 +24,10 @@ import casadi as ca
 from observers.numerics.equations import Equations
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+# The first parts of the structured names in our FMUs: a tool that builds a tree of them cannot have a variable of that name beside.
+BRANCHES = frozenset(
+    {"certificate", "diagnostics", "estimate", "feedback", "filtered", "guess", "measurement_valid"}
+) | frozenset({"parameter", "sensor", "start", "structure", "tuning", "x", "z"})
 
 
 class ModelError(ValueError):
@@ -93,8 +97,9 @@ class Model:
         input_between_samples: what a known input does between two samples, "held" or "linear".
 
     Raises:
-        ModelError: names that are no identifiers or not unique, unknown names in an equation, an equation count that
-            does not match, an equation that is not finite at the start values, an output that depends on nothing.
+        ModelError: names that are no identifiers, not unique, or (inputs, outputs) one of BRANCHES; unknown names in an
+            equation, an equation count that does not match, an equation that is not finite at the start values, an output that
+            depends on nothing.
     """
 
     name: str
@@ -146,6 +151,13 @@ class Model:
                         f"model '{self.name}': the name '{variable.name}' stands for a {seen[variable.name]} and a {group}"
                     )
                 seen[variable.name] = group
+        for group in ("input", "output", "unknown disturbance"):
+            for variable in self._groups()[group]:
+                if variable.name in BRANCHES:
+                    raise ModelError(
+                        f"model '{self.name}': the {group} '{variable.name}' would be a variable of the FMU beside its branch "
+                        f"'{variable.name}.*'; taken are {', '.join(sorted(BRANCHES))}"
+                    )
         if not self.states:
             raise ModelError(f"model '{self.name}' has no states")
         if not self.outputs:

@@ -86,8 +86,8 @@ def guesses(model: Model, guess: Mapping[str, float]) -> tuple[Port, ...]:
 
 
 def known_parameters(model: Model) -> tuple[Port, ...]:
-    """`model.<parameter>`."""
-    return tuple(_like(f"model.{v.name}", v, "", "tunable") for v in model.parameters)
+    """`parameter.<parameter>`."""
+    return tuple(_like(f"parameter.{v.name}", v, "", "tunable") for v in model.parameters)
 
 
 def estimates(model: Model) -> tuple[Port, ...]:

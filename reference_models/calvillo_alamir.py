@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from observers.component import Component
-from observers.elementary import calvillo_alamir
+from observers.elementary import elementary
 from observers.pseudospectral import pseudospectral
 from reference_models.plant import plant
 from reference_models.ramp import ramp
@@ -58,11 +58,11 @@ def roessler() -> Component:
 FMUS: dict[str, Source] = {
     "van_der_pol": (van_der_pol, None),
     "van_der_pol_elementary": (
-        lambda: calvillo_alamir(VAN_DER_POL, sample_time=SAMPLE_TIME, N=201, K=40, **BATCH, **WEIGHTS),
+        lambda: elementary(VAN_DER_POL, sample_time=SAMPLE_TIME, N=201, K=40, **BATCH, **WEIGHTS),
         van_der_pol,
     ),
     "van_der_pol_signed_elementary": (
-        lambda: calvillo_alamir(
+        lambda: elementary(
             VAN_DER_POL_SIGNED,
             sample_time=SIGNED_SAMPLE_TIME,
             N=101,
@@ -75,14 +75,12 @@ FMUS: dict[str, Source] = {
         van_der_pol,
     ),
     "van_der_pol_known_elementary": (
-        lambda: calvillo_alamir(
-            VAN_DER_POL_KNOWN, sample_time=SAMPLE_TIME, N=41, K=5, guess=GUESS, **WEIGHTS_WITHOUT_V
-        ),
+        lambda: elementary(VAN_DER_POL_KNOWN, sample_time=SAMPLE_TIME, N=41, K=5, guess=GUESS, **WEIGHTS_WITHOUT_V),
         van_der_pol,
     ),
     "roessler": (roessler, None),
     "roessler_elementary": (
-        lambda: calvillo_alamir(ROESSLER, sample_time=SAMPLE_TIME, N=41, guess=ROESSLER_GUESS, **ROESSLER_WEIGHTS),
+        lambda: elementary(ROESSLER, sample_time=SAMPLE_TIME, N=41, guess=ROESSLER_GUESS, **ROESSLER_WEIGHTS),
         roessler,
     ),
     "roessler_pseudospectral": (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from observers.component import Component
-from observers.least_squares import chen_yen
+from observers.least_squares import least_squares
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.plant import plant
 from reference_models.recipe import Recipe, Source
@@ -19,7 +19,7 @@ def time_varying() -> Component:
 FMUS: dict[str, Source] = {
     "chen_yen": (time_varying, None),
     "chen_yen_least_squares": (
-        lambda: chen_yen(CHEN_YEN, sample_time=0.01, T=0.25, gamma=20.0, p0=0.1, guess={"x1": 0.0, "x2": 0.0}),
+        lambda: least_squares(CHEN_YEN, sample_time=0.01, T=0.25, gamma=20.0, p0=0.1, guess={"x1": 0.0, "x2": 0.0}),
         time_varying,
     ),
 }

@@ -11,7 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from observers.canonical_dae import nikoukhah
+from observers.canonical_dae import canonical_dae
 from observers.component import SHORTEST_SAMPLE_TIME, Component
 from observers.compose import compose
 from observers.controller import controller
@@ -116,13 +116,13 @@ def _duffing_filter() -> Component:
 
 
 def _motor_observer() -> Component:
-    return nikoukhah(MOTOR, sample_time=MOTOR_SAMPLE_TIME, guess=nikoukhah_1995.GUESS, stop_time=10.0)
+    return canonical_dae(MOTOR, sample_time=MOTOR_SAMPLE_TIME, guess=nikoukhah_1995.GUESS, stop_time=10.0)
 
 
 FMUS: dict[str, Source] = {
     "duffing": gong_2007.FMUS["duffing"],
     "motor": nikoukhah_1995.FMUS["motor"],
-    "motor_nikoukhah": nikoukhah_1995.FMUS["motor_nikoukhah"],
+    "motor_canonical_dae": nikoukhah_1995.FMUS["motor_canonical_dae"],
     "duffing_controller": (duffing_controller, None),
     "motor_controller": (motor_controller, None),
     "duffing_pseudospectral_loop": (_duffing_observer, gong_2007.duffing),
@@ -143,8 +143,8 @@ FMUS: dict[str, Source] = {
         ),
         None,
     ),
-    "motor_nikoukhah_controller": (
-        lambda: compose(_motor_observer(), motor_controller(), name="motor_nikoukhah_controller"),
+    "motor_canonical_dae_controller": (
+        lambda: compose(_motor_observer(), motor_controller(), name="motor_canonical_dae_controller"),
         nikoukhah_1995.motor,
     ),
     "motor_with_controller": (
@@ -196,7 +196,7 @@ SYSTEMS: dict[str, Recipe] = {
     ),
     "closed_loop_motor": Recipe(
         "The motor held at an angle: by the DAE observer, by the true state",
-        {"plant": "motor", "observer": "motor_nikoukhah_controller", "plant_true": "motor_with_controller"},
+        {"plant": "motor", "observer": "motor_canonical_dae_controller", "plant_true": "motor_with_controller"},
         {"plant": _NOISY_MOTOR},
         10.0,
         MOTOR_SAMPLE_TIME,
@@ -204,7 +204,7 @@ SYSTEMS: dict[str, Recipe] = {
     ),
     "closed_loop_motor_controller": Recipe(
         "The same with the controller as an FMU of its own, which has direct feedthrough",
-        {"plant": "motor", "observer": "motor_nikoukhah", "controller": "motor_controller"},
+        {"plant": "motor", "observer": "motor_canonical_dae", "controller": "motor_controller"},
         {"plant": _NOISY_MOTOR},
         10.0,
         MOTOR_SAMPLE_TIME,

@@ -98,22 +98,22 @@ FMUS: dict[str, Source] = {
 
 START = {"start.x1": 2.0, "start.x2": 1.0}
 JUMPS = {
-    "model.theta": 0.4,
-    "model.theta_jump_time[1]": 10.0,
-    "model.theta_jump_value[1]": 0.1,
-    "model.theta_jump_time[2]": 20.0,
-    "model.theta_jump_value[2]": 0.3,
+    "parameter.theta": 0.4,
+    "parameter.theta_jump_time[1]": 10.0,
+    "parameter.theta_jump_value[1]": 0.1,
+    "parameter.theta_jump_time[2]": 20.0,
+    "parameter.theta_jump_value[2]": 0.3,
 }
 
 
 NOISY_JUMPS = {
     "start.x1": 0.5,
     "start.x2": -0.5,
-    "model.theta": 0.4,
-    "model.theta_jump_time[1]": 15.0,
-    "model.theta_jump_value[1]": 0.1,
-    "model.theta_jump_time[2]": 35.0,
-    "model.theta_jump_value[2]": 0.6,
+    "parameter.theta": 0.4,
+    "parameter.theta_jump_time[1]": 15.0,
+    "parameter.theta_jump_value[1]": 0.1,
+    "parameter.theta_jump_time[2]": 35.0,
+    "parameter.theta_jump_value[2]": 0.6,
     "sensor.noise_bound": 0.1,
     "sensor.sample_time": 0.1,
 }

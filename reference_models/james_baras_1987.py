@@ -6,7 +6,7 @@ import math
 from functools import cache
 
 from observers.component import Component
-from observers.riccati import james_baras
+from observers.riccati import riccati
 from reference_models.james_baras_5_1 import JAMES_BARAS_5_1
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant
@@ -27,13 +27,13 @@ FMUS: dict[str, Source] = {
     "james_baras_5_1": (bilinear, None),
     "james_baras_5_2": (sine_output, None),
     "james_baras_5_1_riccati": (
-        lambda: james_baras(
+        lambda: riccati(
             JAMES_BARAS_5_1, sample_time=0.01, guess={"x1": 0.0, "x2": 0.0, "x3": 0.0}, expose=["Q"], stop_time=20.0
         ),
         bilinear,
     ),
     "james_baras_5_2_riccati": (
-        lambda: james_baras(
+        lambda: riccati(
             JAMES_BARAS_5_2,
             sample_time=0.01,
             N=math.sqrt(0.2),  # N = sqrt(r0) I, R = r I, Q0 = gamma^2 I with the paper's r0 = 0.2, r = 3, gamma = 0.1

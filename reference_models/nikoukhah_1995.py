@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from observers.canonical_dae import nikoukhah
+from observers.canonical_dae import canonical_dae
 from observers.component import Component
 from reference_models.double_integrator import DOUBLE_INTEGRATOR, MASS_WITH_UNKNOWN_FORCE, PUSHED_MASS
 from reference_models.modulated import MODULATED, lyapunov_gain
@@ -40,34 +40,36 @@ def pushed_mass() -> Component:
 
 
 def _motor_observer(suffix: str = "", **options: object) -> Source:
-    name = f"motor_nikoukhah{suffix}"
+    name = f"motor_canonical_dae{suffix}"
     return (
-        lambda: nikoukhah(MOTOR, sample_time=SAMPLE_TIME, guess=GUESS, name=name, stop_time=6.0, **options),  # type: ignore[arg-type]
+        lambda: canonical_dae(MOTOR, sample_time=SAMPLE_TIME, guess=GUESS, name=name, stop_time=6.0, **options),  # type: ignore[arg-type]
         motor,
     )
 
 
 FMUS: dict[str, Source] = {
     "motor": (motor, None),
-    "motor_nikoukhah": _motor_observer(),
-    "motor_nikoukhah_regional": _motor_observer("_regional", gain="regional", alpha=10.0),
-    "motor_nikoukhah_bdf": _motor_observer("_bdf", form="bdf", order=2),
+    "motor_canonical_dae": _motor_observer(),
+    "motor_canonical_dae_regional": _motor_observer("_regional", gain="regional", alpha=10.0),
+    "motor_canonical_dae_bdf": _motor_observer("_bdf", form="bdf", order=2),
     "modulated": (modulated, None),
-    "modulated_nikoukhah": (
-        lambda: nikoukhah(
+    "modulated_canonical_dae": (
+        lambda: canonical_dae(
             MODULATED, sample_time=0.01, gain=lyapunov_gain, guess={"x1": 0.0, "x2": 0.0}, stop_time=30.0
         ),
         modulated,
     ),
     "double_integrator": (double_integrator, None),
-    "double_integrator_nikoukhah": (
+    "double_integrator_canonical_dae": (
         # Poles at -0.1/Ts: a cubic between samples would miss (2.66) by 0.006 at a tenth of the sampling frequency.
-        lambda: nikoukhah(DOUBLE_INTEGRATOR, sample_time=0.01, degree=9, guess={"x1": 0.0, "x2": 0.0}, stop_time=5.0),
+        lambda: canonical_dae(
+            DOUBLE_INTEGRATOR, sample_time=0.01, degree=9, guess={"x1": 0.0, "x2": 0.0}, stop_time=5.0
+        ),
         double_integrator,
     ),
     "pushed_mass": (pushed_mass, None),
-    "pushed_mass_nikoukhah": (
-        lambda: nikoukhah(MASS_WITH_UNKNOWN_FORCE, sample_time=0.01, guess={"x2": 0.0}, stop_time=5.0),
+    "pushed_mass_canonical_dae": (
+        lambda: canonical_dae(MASS_WITH_UNKNOWN_FORCE, sample_time=0.01, guess={"x2": 0.0}, stop_time=5.0),
         pushed_mass,
     ),
     "sine": (sine, None),
@@ -82,7 +84,7 @@ _DRIVEN = (("source.y", "plant.u"), ("source.y", "observer.u"))
 DETECTOR = {"tuning.fault_threshold": 0.006}
 
 
-def _motor(description: str, observer: str = "motor_nikoukhah") -> Recipe:
+def _motor(description: str, observer: str = "motor_canonical_dae") -> Recipe:
     fmus = {"source": "sine", "plant": "motor", "observer": observer}
     parameters = {"source": _DRIVE, "observer": DETECTOR}
     return Recipe(description, fmus, parameters, 6.0, SAMPLE_TIME, (*_DRIVEN, *_MEASURED))
@@ -90,11 +92,11 @@ def _motor(description: str, observer: str = "motor_nikoukhah") -> Recipe:
 
 SYSTEMS: dict[str, Recipe] = {
     "nikoukhah_motor": _motor("Section 5: three-phase motor, exact placement at -10"),
-    "nikoukhah_motor_regional": _motor("Section 5 with regional placement, alpha = 10", "motor_nikoukhah_regional"),
-    "nikoukhah_motor_bdf": _motor("Section 5 by backward differentiation of order 2", "motor_nikoukhah_bdf"),
+    "nikoukhah_motor_regional": _motor("Section 5 with regional placement, alpha = 10", "motor_canonical_dae_regional"),
+    "nikoukhah_motor_bdf": _motor("Section 5 by backward differentiation of order 2", "motor_canonical_dae_bdf"),
     "nikoukhah_example_2_1": Recipe(
         "Example 2.1: Lyapunov gain, u = sin t",
-        {"source": "sine", "plant": "modulated", "observer": "modulated_nikoukhah"},
+        {"source": "sine", "plant": "modulated", "observer": "modulated_canonical_dae"},
         {"plant": {"start.x1": 1.0, "start.x2": 0.5}},
         30.0,
         0.01,
@@ -102,20 +104,20 @@ SYSTEMS: dict[str, Recipe] = {
     ),
     "nikoukhah_example_2_3": Recipe(
         "Example 2.3: double integrator",
-        {"plant": "double_integrator", "observer": "double_integrator_nikoukhah"},
+        {"plant": "double_integrator", "observer": "double_integrator_canonical_dae"},
         {},
         5.0,
         0.01,
     ),
     "nikoukhah_unknown_force": Recipe(
         "Unknown input: a force that comes at 1 s and changes at 3 s",
-        {"plant": "pushed_mass", "observer": "pushed_mass_nikoukhah"},
+        {"plant": "pushed_mass", "observer": "pushed_mass_canonical_dae"},
         {
             "plant": {
-                "model.force_jump_time[1]": 1.0,
-                "model.force_jump_value[1]": 2.0,
-                "model.force_jump_time[2]": 3.0,
-                "model.force_jump_value[2]": -1.0,
+                "parameter.force_jump_time[1]": 1.0,
+                "parameter.force_jump_value[1]": 2.0,
+                "parameter.force_jump_time[2]": 3.0,
+                "parameter.force_jump_value[2]": -1.0,
             }
         },
         5.0,

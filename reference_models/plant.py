@@ -34,8 +34,8 @@ def plant(
 
     Unknown disturbances are inputs, behind the known ones. States are outputs `x.<state>`, algebraic variables `z.<name>`, unknown
     parameters `x.<name>` (their true value now). Parameters: `start.<state>`, `start.<algebraic variable>` (a guess: the solution
-    near it is taken, and its branch followed until it ends), `model.<parameter>`; for each jump i of an unknown parameter (count
-    in `jumps`) `model.<name>_jump_time[i]` and `model.<name>_jump_value[i]`, in ascending order: the value holds for t > time.
+    near it is taken, and its branch followed until it ends), `parameter.<parameter>`; for each jump i of an unknown parameter (count
+    in `jumps`) `parameter.<name>_jump_time[i]` and `parameter.<name>_jump_value[i]`, in ascending order: the value holds for t > time.
     Sensor: `sensor.noise_bound` (uniform), `sensor.noise_std` (Gaussian), `sensor.seed`, `sensor.sample_time` (0 = clean); y(t_k)
     carries the k-th draw.
 
@@ -59,14 +59,14 @@ def plant(
         _port(f"start.{v.name}", v, "fixed", f"guess of the start value of the {v.description or v.name}")
         for v in model.algebraic
     ]
-    constants = [_port(f"model.{v.name}", v, "tunable") for v in model.parameters]
-    unknowns = [_port(f"model.{v.name}", v, "tunable") for v in model.unknown_parameters]
+    constants = [_port(f"parameter.{v.name}", v, "tunable") for v in model.parameters]
+    unknowns = [_port(f"parameter.{v.name}", v, "tunable") for v in model.unknown_parameters]
     jump_ports: list[Port] = []
     for v in model.unknown_parameters:
         for i in range(1, jumps.get(v.name, 0) + 1):
             jump_ports.append(
                 Port(
-                    f"model.{v.name}_jump_time[{i}]",
+                    f"parameter.{v.name}_jump_time[{i}]",
                     f"time of jump {i} of {v.name}",
                     "s",
                     NEVER,
@@ -75,7 +75,7 @@ def plant(
                 )
             )
             jump_ports.append(
-                _port(f"model.{v.name}_jump_value[{i}]", v, "tunable", f"{v.description or v.name} after jump {i}")
+                _port(f"parameter.{v.name}_jump_value[{i}]", v, "tunable", f"{v.description or v.name} after jump {i}")
             )
     unit = model.outputs[0].unit
     sensor = [
@@ -102,7 +102,7 @@ def plant(
     z = ca.vertcat(x, algebraic, noise_now, stream, failure)
     eq = model.equations
     inputs = ca.vertcat(eq.u, eq.w)
-    known = ca.vertcat(*[p[f"model.{q.name}"] for q in model.parameters])
+    known = ca.vertcat(*[p[f"parameter.{q.name}"] for q in model.parameters])
     longest = stable_step(split(eq.ode, eq.x, inputs).A, max_step)
     measure = ca.Function("measure", [eq.x, eq.z, inputs, eq.p, eq.theta, eq.t], [eq.output])
 
@@ -110,10 +110,10 @@ def plant(
         """The unknown parameters at `time`: piecewise constant, the new value for time > jump time."""
         values = []
         for q in model.unknown_parameters:
-            value = p[f"model.{q.name}"]
+            value = p[f"parameter.{q.name}"]
             for i in range(1, jumps.get(q.name, 0) + 1):
                 value = ca.if_else(
-                    time > p[f"model.{q.name}_jump_time[{i}]"], p[f"model.{q.name}_jump_value[{i}]"], value
+                    time > p[f"parameter.{q.name}_jump_time[{i}]"], p[f"parameter.{q.name}_jump_value[{i}]"], value
                 )
             values.append(value)
         return ca.vertcat(*values)

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.linalg import expm
 
+from observers import least_squares as least_squares_room
+from observers import riccati as riccati_room
 from observers.component import Component
-from observers.least_squares import chen_yen
 from observers.model import Model, Variable
-from observers.riccati import james_baras
 
 SAMPLE_TIME = 0.1  # [s]
 LARGEST = 8
@@ -38,7 +38,7 @@ def linear(n: int, ny: int) -> Model:
 
 def entries(A: np.ndarray, C: np.ndarray) -> dict[str, float]:
     """The parameters of `linear` for the matrices A and C."""
-    return {f"model.{letter}{i}{j}": v for letter, M in (("a", A), ("c", C)) for (i, j), v in np.ndenumerate(M)}
+    return {f"parameter.{letter}{i}{j}": v for letter, M in (("a", A), ("c", C)) for (i, j), v in np.ndenumerate(M)}
 
 
 def design(**matrices: np.ndarray) -> dict[str, float]:
@@ -50,12 +50,12 @@ def riccati(n: int) -> Component:
     """The Riccati observer of `linear`, its design matrices whole, Q put out."""
     ny = outputs_of(n)
     one = np.eye(n)
-    return james_baras(linear(n, ny), sample_time=SAMPLE_TIME, N=one, R=np.eye(ny), Q0=one, expose=["Q"])
+    return riccati_room.riccati(linear(n, ny), sample_time=SAMPLE_TIME, N=one, R=np.eye(ny), Q0=one, expose=["Q"])
 
 
 def least_squares(n: int) -> Component:
     """The least-squares observer of `linear`."""
-    return chen_yen(linear(n, outputs_of(n)), sample_time=SAMPLE_TIME, T=0.5)
+    return least_squares_room.least_squares(linear(n, outputs_of(n)), sample_time=SAMPLE_TIME, T=0.5)
 
 
 def kalman(A, C, N, R, Q, m, samples, inputs, Ts):

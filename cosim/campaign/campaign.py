@@ -115,7 +115,7 @@ def campaign(
     stop, step = resolved.experiment(stop, step)
     count_steps(resolved.system.start, stop, step)
     found = _rated(resolved)
-    parameters = tuple(p.truth for p in found if f"model.{p.variable}" in resolved.variables[p.truth.split(".")[0]])
+    parameters = tuple(p.truth for p in found if f"parameter.{p.variable}" in resolved.variables[p.truth.split(".")[0]])
     experiment = Experiment(overrides, stop, step, settle, parameters)
     digest = hashlib.sha256(system.read_bytes()).hexdigest()
     _open_folder(out, {"system": digest, "vary": dict(vary), "seed": seed, **asdict(experiment)})

@@ -88,7 +88,7 @@ def relaxed(model: Model) -> Dae:
     h, r = _split(model, x)
     if len(model.outputs) > x.numel():
         raise ModelError(
-            f"nikoukhah: model '{model.name}' has {len(model.outputs)} outputs for {x.numel()} states: they cannot be independent"
+            f"canonical_dae: model '{model.name}' has {len(model.outputs)} outputs for {x.numel()} states: they cannot be independent"
         )
     C = ca.jacobian(h, x)
     n, p, q = x.numel(), h.numel(), eq.w.numel()
@@ -99,28 +99,28 @@ def relaxed(model: Model) -> Dae:
     names = ", ".join(v.name for v in model.unknown_disturbances)
     if q > p:
         raise ModelError(
-            f"nikoukhah: model '{model.name}' has {q} unknown disturbances ({names}) and {p} outputs: it takes one output each, "
+            f"canonical_dae: model '{model.name}' has {q} unknown disturbances ({names}) and {p} outputs: it takes one output each, "
             "or the index exceeds 1"
         )
     E_symbolic, C_symbolic = ca.jacobian(f, eq.w), C
     if not (E_symbolic.is_constant() and C_symbolic.is_constant()):
         what = "disturbances enter the ODE" if not E_symbolic.is_constant() else "outputs depend on the states"
         raise ModelError(
-            f"nikoukhah: model '{model.name}': with unknown disturbances ({names}), {what} by constant coefficients only"
+            f"canonical_dae: model '{model.name}': with unknown disturbances ({names}), {what} by constant coefficients only"
         )
     E, Cn = ca.DM(E_symbolic).full(), ca.DM(C_symbolic).full()
     CE = product(Cn, E)
     rest, of_CE = complement(E), complement(CE)
     if rest is None or of_CE is None:
         raise ModelError(
-            f"nikoukhah: model '{model.name}': h_x E of the unknown disturbances ({names}) has rank "
+            f"canonical_dae: model '{model.name}': h_x E of the unknown disturbances ({names}) has rank "
             f"{np.linalg.matrix_rank(CE)}, not {q}: no output's first derivative shows them all, so the index exceeds 1"
         )
     M = of_CE.T.T
     G = np.hstack([E, product(Cn.T, M)])
     N_inverse = exact_inverse(product(Cn, G))
     if N_inverse is None:
-        raise ModelError(f"nikoukhah: model '{model.name}': the outputs are not independent")
+        raise ModelError(f"canonical_dae: model '{model.name}': the outputs are not independent")
     Pi = np.eye(n) - product(E, of_CE.L, Cn)
     f0 = ca.substitute(f, eq.w, ca.DM.zeros(q))
     return Dae(x, eq.u, eq.p, eq.t, f0, h, r, C, ca.SX(ca.DM(G)), E, M, rest, Pi, N_inverse)
@@ -135,14 +135,14 @@ def _split(model: Model, x: ca.SX) -> tuple[ca.SX, ca.SX]:
     for variable, output in zip(model.outputs, ca.vertsplit(eq.output), strict=True):
         if ca.depends_on(output, eq.w):
             raise ModelError(
-                f"nikoukhah: output '{variable.name}' of model '{model.name}' depends on an unknown disturbance: whatever the states "
+                f"canonical_dae: output '{variable.name}' of model '{model.name}' depends on an unknown disturbance: whatever the states "
                 "are, some disturbance explains it. Leave the output out, or make the disturbance an unknown parameter"
             )
         inside = bool(model.inputs) and ca.depends_on(ca.jacobian(output, x), eq.u)
         if inside and model.input_between_samples == "held":
             raise ModelError(
-                f"nikoukhah: output '{variable.name}' of model '{model.name}' depends on an input other than by a sum: h_x jumps with a "
-                "held input, and h_x' lambda' has no meaning there; input_between_samples='linear' makes it continuous"
+                f"canonical_dae: output '{variable.name}' of model '{model.name}' depends on an input other than by a sum: h_x jumps with "
+                "a held input, and h_x' lambda' has no meaning there; input_between_samples='linear' makes it continuous"
             )
         if inside or not ca.depends_on(output, eq.u):
             h.append(output)

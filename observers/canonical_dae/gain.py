@@ -60,7 +60,7 @@ def choose(
     alpha: float,
     X: ArrayLike | None,
 ) -> Gain:
-    """The gain that the options of `nikoukhah` ask for.
+    """The gain that the options of `canonical_dae` ask for.
 
     Raises:
         ModelError, ValueError: as below; an unknown name, options without a relaxation that they could tune.
@@ -68,7 +68,7 @@ def choose(
     if dae.n_lambda == 0:
         if poles or X is not None or gain not in ("exact", "regional"):
             raise ValueError(
-                f"nikoukhah: model '{model.name}' has as many unknown disturbances as outputs: no relaxation is left for poles, X or a "
+                f"canonical_dae: model '{model.name}' has as many unknown disturbances as outputs: no relaxation is left for poles, X or a "
                 "gain of one's own"
             )
         return _nothing_to_place(dae)
@@ -77,7 +77,7 @@ def choose(
     if gain == "regional":
         return regional(dae, alpha, X if X is not None else [1.0] * dae.n_lambda)
     if isinstance(gain, str):
-        raise ValueError(f"nikoukhah: gain = {gain!r} must be 'exact', 'regional' or a function (x, u, p, t)")
+        raise ValueError(f"canonical_dae: gain = {gain!r} must be 'exact', 'regional' or a function (x, u, p, t)")
     return given(dae, model, gain)
 
 
@@ -119,7 +119,7 @@ def regional(dae: Dae, alpha: float, X: ArrayLike) -> Gain:
     """
     A, C = reduced_pair(dae)
     if not SLOWEST <= alpha < math.inf:
-        raise ValueError(f"nikoukhah: alpha = {alpha:g} must be at least {SLOWEST:g} and finite")
+        raise ValueError(f"canonical_dae: alpha = {alpha:g} must be at least {SLOWEST:g} and finite")
     weighing = weight(X, C.shape[0])
     rate, eps = ca.SX.sym("alpha"), ca.SX.sym("eps")
     identity = ca.SX.eye(A.shape[0])
@@ -174,7 +174,7 @@ def given(dae: Dae, model: Model, design: Design) -> Gain:
     table = [[ca.SX(entry) for entry in row] for row in rows]
     if len(table) != dae.n or any(len(row) != dae.n_lambda for row in table):
         raise ModelError(
-            f"nikoukhah: gain of model '{model.name}' has rows of lengths {[len(row) for row in table]}, "
+            f"canonical_dae: gain of model '{model.name}' has rows of lengths {[len(row) for row in table]}, "
             f"expected {dae.n} rows of {dae.n_lambda}"
         )
     Gamma = ca.vertcat(*[ca.horzcat(*row) for row in table])
@@ -234,7 +234,7 @@ def _single_output(dae: Dae, region: Region, A: ca.SX, C: ca.SX) -> tuple[np.nda
             else:
                 return v, J_p
     raise ModelError(
-        f"nikoukhah: no v and J_p of (3.20)-(3.22) make (v C, A - J_p C) observable over the region, "
+        f"canonical_dae: no v and J_p of (3.20)-(3.22) make (v C, A - J_p C) observable over the region, "
         f"for example at {region.describe(failed)}; use gain='regional'"
     )
 

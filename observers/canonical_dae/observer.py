@@ -46,7 +46,7 @@ from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
 
 
-def nikoukhah(
+def canonical_dae(
     model: Model,
     *,
     sample_time: float,
@@ -76,7 +76,7 @@ def nikoukhah(
         degree: of the polynomial through past measurements that the w-form takes between samples, 1 to 9. A higher one follows faster
             signals and amplifies noise near half the sampling frequency.
         guess: start values of `guess.*` that differ from the model's. The first sample projects it onto h(x) = y.
-        name: the component's name; `<model>_nikoukhah` if absent.
+        name: the component's name; `<model>_canonical_dae` if absent.
         max_step: the longest prediction step [s] (classical Runge-Kutta).
         stop_time: of the default experiment [s].
 
@@ -86,14 +86,14 @@ def nikoukhah(
             observable and do not decay as fast as the gain promises.
         ValueError: an option out of range.
     """
-    refuse(model, "nikoukhah", "algebraic")
-    period = ports.sample_time("nikoukhah", sample_time)
+    refuse(model, "canonical_dae", "algebraic")
+    period = ports.sample_time("canonical_dae", sample_time)
     if form not in ("w", "bdf"):
-        raise ValueError(f"nikoukhah: form = {form!r} must be 'w' or 'bdf'")
+        raise ValueError(f"canonical_dae: form = {form!r} must be 'w' or 'bdf'")
     if not 1 <= order <= MOST:
-        raise ValueError(f"nikoukhah: order = {order} must be 1 to {MOST}")
+        raise ValueError(f"canonical_dae: order = {order} must be 1 to {MOST}")
     if not 1 <= degree <= HIGHEST:
-        raise ValueError(f"nikoukhah: degree = {degree} must be 1 to {HIGHEST}")
+        raise ValueError(f"canonical_dae: degree = {degree} must be 1 to {HIGHEST}")
     dae, checked = relaxed(model), region(model)
     # How far left what no gain moves must lie: exact placement leaves nothing, a given gain is asked for stability.
     _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
@@ -123,7 +123,7 @@ def nikoukhah(
     residual = [s.mu[dae.n_disturbances :], s.fault] if dae.n_lambda else []
     shown = [s.x, s.x_filtered, s.d, s.d, s.status, *residual, s.innovation, s.singular, s.rejected, s.failures]
     return Component(
-        name=name or f"{model.name}_nikoukhah",
+        name=name or f"{model.name}_canonical_dae",
         description=f"Canonical DAE observer for {model.name} (Nikoukhah 1995), {chosen.description}",
         start=ca.Function("start", [p, t], [state.pack(start)]),
         flow=ca.Function(
@@ -177,11 +177,11 @@ def _check(dae: Dae, checked: Region, left_of: float) -> None:
     The proof of Lemma 3.2 needs less than observability: what (C, A) hides must decay faster than exp(-left_of t) by itself.
     """
     at = dae.arguments
-    checked.require_rank("nikoukhah", "h_x", ca.Function("C", at, [ca.densify(dae.C)]), dae.n_outputs)
+    checked.require_rank("canonical_dae", "h_x", ca.Function("C", at, [ca.densify(dae.C)]), dae.n_outputs)
     hidden = ", ".join(v.name for v in checked.model.unknown_disturbances)
     what = f"what the unknown disturbances ({hidden}) leave of (h_x, f_x)" if hidden else "(h_x, f_x)"
     pair = ca.Function("pair", at, [ca.densify(block) for block in reduced_pair(dae)])
-    checked.require_detectable("nikoukhah", what, pair, left_of)
+    checked.require_detectable("canonical_dae", what, pair, left_of)
 
 
 def _jump(

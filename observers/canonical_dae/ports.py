@@ -11,7 +11,7 @@ from observers.component import Enumeration, Port
 from observers.model import Model
 
 _STATUS = Enumeration(
-    "NikoukhahStatus",
+    "CanonicalDaeStatus",
     (
         ("initial_guess", "no sample yet: the estimate is the propagated guess"),
         ("estimating", "the estimate satisfies the last measurement"),

@@ -50,13 +50,13 @@ def poles(wanted: Sequence[complex], n: int) -> Poles:
     shown = "(" + ", ".join(_text(pole) for pole in given) + ")"
     if len(given) != n or not all(pole.real <= -SLOWEST and math.isfinite(abs(pole)) for pole in given):
         raise ValueError(
-            f"nikoukhah: poles = {shown} must be {n} numbers with real parts of at most {-SLOWEST:g}, one for each state"
+            f"canonical_dae: poles = {shown} must be {n} numbers with real parts of at most {-SLOWEST:g}, one for each state"
         )
     above = [pole for pole in given if pole.imag > 0]
     below = [pole for pole in given if pole.imag < 0]
     for pole in (*above, *below):
         if given.count(pole) != given.count(pole.conjugate()):
-            raise ValueError(f"nikoukhah: poles = {shown}: {_text(pole)} is there without its conjugate")
+            raise ValueError(f"canonical_dae: poles = {shown}: {_text(pole)} is there without its conjugate")
     real = [pole.real for pole in given if pole.imag == 0]
     what = "eigenvalue of the linearised error dynamics"
     ports = [
@@ -115,10 +115,10 @@ def weight(X: ArrayLike, p: int) -> Weight:
     """
     given = np.asarray(X, dtype=float)
     if given.shape not in ((p,), (p, p)) or not np.all(np.isfinite(given)):
-        raise ValueError(f"nikoukhah: X = {given.tolist()} must be {p} numbers or a {p} x {p} matrix")
+        raise ValueError(f"canonical_dae: X = {given.tolist()} must be {p} numbers or a {p} x {p} matrix")
     if given.ndim == 1:
         if not np.all(given >= SMALLEST):
-            raise ValueError(f"nikoukhah: X = {given.tolist()} must be positive, at least {SMALLEST:g}")
+            raise ValueError(f"canonical_dae: X = {given.tolist()} must be positive, at least {SMALLEST:g}")
         diagonal = ca.SX.sym("X", p)
         ports = tuple(
             Port(_indexed("tuning.X", i, p), "weight X", start=float(x), min=SMALLEST, variability="tunable")
@@ -127,7 +127,7 @@ def weight(X: ArrayLike, p: int) -> Weight:
         return Weight(ports, diagonal, ca.diag(diagonal))
     root = _cholesky(given)
     if root is None or not np.array_equal(given, given.T):
-        raise ValueError(f"nikoukhah: X = {given.tolist()} must be symmetric and positive definite")
+        raise ValueError(f"canonical_dae: X = {given.tolist()} must be symmetric and positive definite")
     places = [(i, j) for i in range(p) for j in range(i + 1)]
     values, L = ca.SX.sym("X_root", len(places)), ca.SX(p, p)
     made = []

@@ -1,5 +1,5 @@
 """The observer by elementary Hamilton-Jacobi problems of Calvillo-Corona & Alamir."""
 
-from observers.elementary.observer import calvillo_alamir
+from observers.elementary.observer import elementary
 
-__all__ = ["calvillo_alamir"]
+__all__ = ["elementary"]

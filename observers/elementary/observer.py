@@ -45,7 +45,7 @@ from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
 
 
-def calvillo_alamir(
+def elementary(
     model: Model,
     *,
     sample_time: float,

@@ -21,7 +21,7 @@ from observers.model import Model, ModelError, Variable, refuse
 
 LQ, GAUSS_NEWTON, GRID = "lq", "gauss_newton", "grid"
 LEVELS = (LQ, GAUSS_NEWTON, GRID)
-METHOD = "calvillo_alamir"
+METHOD = "elementary"
 PROXIMAL = 1e-9  # of q, towards the last iterate: where an output's slope vanishes, its state stays determined
 _KINKED = {
     getattr(ca, f"OP_{name}")

@@ -1,5 +1,5 @@
 """The least-squares observer with covariance reset of Chen & Yen 1999."""
 
-from observers.least_squares.observer import chen_yen
+from observers.least_squares.observer import least_squares
 
-__all__ = ["chen_yen"]
+__all__ = ["least_squares"]

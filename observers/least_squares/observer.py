@@ -71,7 +71,7 @@ CONTRACTION = (
 )
 
 
-def chen_yen(
+def least_squares(
     model: Model,
     *,
     sample_time: float,
@@ -102,17 +102,17 @@ def chen_yen(
             is not linear in its states and unknown parameters (without `linearise`).
         ValueError: T, gamma or p0 is not positive, T is shorter than the sample time.
     """
-    refuse(model, "chen_yen", "algebraic", "unknown_disturbances")
-    refuse_unobservable(model, "chen_yen")
-    period = ports.sample_time("chen_yen", sample_time)
+    refuse(model, "least_squares", "algebraic", "unknown_disturbances")
+    refuse_unobservable(model, "least_squares")
+    period = ports.sample_time("least_squares", sample_time)
     line = linearisation(model)
     if not linearise:
         _refuse_nonlinear(model, line)
     for what, value in (("gamma", gamma), ("p0", p0)):
         if not 0 < value < HUGE:
-            raise ValueError(f"chen_yen: {what} = {value:g} must be positive and finite")
+            raise ValueError(f"least_squares: {what} = {value:g} must be positive and finite")
     if not sample_time <= T < HUGE:
-        raise ValueError(f"chen_yen: T = {T:g} s must be finite and at least the sample time, {sample_time:g} s")
+        raise ValueError(f"least_squares: T = {T:g} s must be finite and at least the sample time, {sample_time:g} s")
 
     n, ny, nu = len(line.variables), len(model.outputs), len(model.inputs)
     state = Layout(
@@ -181,7 +181,7 @@ def _refuse_nonlinear(model: Model, line: Linearisation) -> None:
             if any(bent):
                 variable = line.variables[bent.index(True)].name
                 raise ModelError(
-                    f"chen_yen: model '{model.name}' is not linear: {group} '{name}' is nonlinear in '{variable}' "
+                    f"least_squares: model '{model.name}' is not linear: {group} '{name}' is nonlinear in '{variable}' "
                     "(linearise=True treats it along the estimate)"
                 )
 

@@ -1,5 +1,5 @@
 """The Riccati observer of James & Baras 1987."""
 
-from observers.riccati.observer import james_baras
+from observers.riccati.observer import riccati
 
-__all__ = ["james_baras"]
+__all__ = ["riccati"]

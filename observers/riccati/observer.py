@@ -56,7 +56,7 @@ CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, st
 STATUS_PORT = ports.status(STATUS)
 
 
-def james_baras(
+def riccati(
     model: Model,
     *,
     sample_time: float,
@@ -90,12 +90,12 @@ def james_baras(
             not decay by itself.
         ValueError: a design matrix of a wrong shape or singular, a Q0 that is not symmetric positive definite, an unknown name in `expose`.
     """
-    refuse(model, "james_baras", "algebraic", "unknown_disturbances")
+    refuse(model, "riccati", "algebraic", "unknown_disturbances")
     unknown = sorted(set(expose) - {"Q"})
     if unknown:
-        raise ValueError(f"james_baras: expose = {unknown[0]!r} is unknown; known: Q")
-    refuse_undetectable(model, "james_baras")
-    period = ports.sample_time("james_baras", sample_time)
+        raise ValueError(f"riccati: expose = {unknown[0]!r} is unknown; known: Q")
+    refuse_undetectable(model, "riccati")
+    period = ports.sample_time("riccati", sample_time)
     line = linearisation(model)
     design = _design(model, line, N, R, Q0)
     known = certificate(model, line, design.N.start, design.R.start, design.Q0.start)
@@ -188,12 +188,12 @@ def james_baras(
 def _design(model: Model, line: Linearisation, N: ArrayLike, R: ArrayLike, Q0: ArrayLike) -> SimpleNamespace:
     """The design matrices N, R, Q0 as tuning parameters."""
     design = SimpleNamespace(
-        N=tuning.matrix("james_baras", "N", N, line.variables, "disturbance intensity, in its unit per sqrt(s), of"),
-        R=tuning.matrix("james_baras", "R", R, model.outputs, "measurement error, in its unit times sqrt(s), of"),
-        Q0=tuning.matrix("james_baras", "Q0", Q0, line.variables, "first Q, in its unit squared, of", "fixed"),
+        N=tuning.matrix("riccati", "N", N, line.variables, "disturbance intensity, in its unit per sqrt(s), of"),
+        R=tuning.matrix("riccati", "R", R, model.outputs, "measurement error, in its unit times sqrt(s), of"),
+        Q0=tuning.matrix("riccati", "Q0", Q0, line.variables, "first Q, in its unit squared, of", "fixed"),
     )
     if not np.array_equal(design.Q0.start, design.Q0.start.T) or np.linalg.eigvalsh(design.Q0.start).min() <= 0:
-        raise ValueError(f"james_baras: Q0 = {design.Q0.start.tolist()} is not symmetric positive definite")
+        raise ValueError(f"riccati: Q0 = {design.Q0.start.tolist()} is not symmetric positive definite")
     return design
 
 

@@ -86,7 +86,7 @@ def test_results_go_to_a_folder_of_the_systems_name(
         (("--set", "plant.sensor.seed="), "not of the form"),
         (("--set", "plant.sensor.sede=7"), "has no variable 'sensor.sede'; did you mean 'sensor.seed'"),
         (("--set", "plant.sensor.seed=1.5"), "'sensor.seed' is an Integer: 1.5 is not a whole number"),
-        (("--set", "plant.model.damping=[bold]"), "'[bold]' is not a number"),
+        (("--set", "plant.parameter.damping=[bold]"), "'[bold]' is not a number"),
         (("--stop", "0.25"), "stop time 0.25 is not a multiple of the step size 0.1"),
         (("--step", "-1"), "step size -1 must be positive"),
         (("--step", "1e-12"), "5e+12 steps of 1e-12 s up to 5 s are more than 100000000"),

@@ -128,7 +128,7 @@ def test_smaller_steps_run_the_same_loop_and_the_control_is_held_between_samples
 
 
 @pytest.mark.parametrize(
-    "name", ["duffing_pseudospectral_controller", "duffing_ukf_controller", "motor_nikoukhah_controller"]
+    "name", ["duffing_pseudospectral_controller", "duffing_ukf_controller", "motor_canonical_dae_controller"]
 )
 def test_nothing_that_is_composed_depends_directly_on_an_input(catalogue: Path, name: str) -> None:
     description = fmpy.read_model_description(str(catalogue / "fmus" / f"{name}.fmu"))

@@ -6,7 +6,7 @@ import casadi as ca
 import pytest
 
 from observers.instance import Instance
-from observers.model import Model, ModelError, Variable
+from observers.model import BRANCHES, Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
 from observers.ukf import ukf
 from reference_models.duffing import DUFFING
@@ -81,6 +81,21 @@ def test_a_contradictory_model_is_refused_with_the_reason(changes, message):
 def test_a_contradictory_variable_is_refused_with_the_value_and_the_limit(attributes, message):
     with pytest.raises(ModelError, match=message):
         Variable("v", **attributes)
+
+
+@pytest.mark.parametrize("group", ["inputs", "outputs"])
+@pytest.mark.parametrize("name", sorted(BRANCHES))
+def test_an_input_or_output_called_like_a_branch_of_the_fmus_names_is_refused_by_name(group: str, name: str) -> None:
+    groups = {"states": [Variable("pos")], "outputs": [Variable("y")], group: [Variable(name)]}
+    with pytest.raises(ModelError, match=f"model 'bus': the {group[:-1]} '{name}' would be .* '{name}\\.\\*'"):
+        Model(name="bus", **groups, ode=lambda x, u, p, t: [-x.pos], output=lambda x, u, p, t: [x.pos])
+
+
+@pytest.mark.parametrize("make", [plant, lambda model: ukf(model, sample_time=0.1)])
+def test_every_branch_of_a_components_names_is_refused_to_inputs_and_outputs(make) -> None:
+    component = make(DUFFING)
+    ports = (*component.inputs, *component.parameters, *component.outputs, *component.constants)
+    assert {port.name.split(".")[0].split("[")[0] for port in ports if "." in port.name} <= BRANCHES
 
 
 def test_a_method_refuses_what_it_does_not_treat_by_name():

@@ -98,10 +98,10 @@ def test_the_plant_is_accurate_to_1e_9_over_50_s_with_jumps_of_theta(catalogue: 
     element = Element(
         catalogue / "fmus" / "duffing.fmu",
         {
-            "model.theta_jump_time[1]": 10.03,
-            "model.theta_jump_value[1]": 0.1,
-            "model.theta_jump_time[2]": 20.0,
-            "model.theta_jump_value[2]": 0.3,
+            "parameter.theta_jump_time[1]": 10.03,
+            "parameter.theta_jump_value[1]": 0.1,
+            "parameter.theta_jump_time[2]": 20.0,
+            "parameter.theta_jump_value[2]": 0.3,
         },
     )
     result = run(System("alone", {"plant": element}), stop=50.0, step=0.1)
@@ -160,10 +160,10 @@ def test_the_python_face_and_the_fmu_agree_over_a_whole_run(name: str, example: 
 def test_the_python_plant_and_the_fmu_agree_over_a_whole_run(example: Catalogue) -> None:
     result = example("gong_example_2")
     start = {
-        "model.theta_jump_time[1]": 10.0,
-        "model.theta_jump_value[1]": 0.1,
-        "model.theta_jump_time[2]": 20.0,
-        "model.theta_jump_value[2]": 0.3,
+        "parameter.theta_jump_time[1]": 10.0,
+        "parameter.theta_jump_value[1]": 0.1,
+        "parameter.theta_jump_time[2]": 20.0,
+        "parameter.theta_jump_value[2]": 0.3,
     }
     plant = Instance(FMUS["duffing"][0](), start)
     for k in range(len(result.time) - 1):

@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from build_fmus import FMUS, SYSTEMS
 from cosim.results import Result
 from observers.instance import Instance
-from observers.least_squares import observer as chen_yen
-from observers.riccati import observer as james_baras
+from observers.least_squares import observer as least_squares
+from observers.riccati import observer as riccati
 from observers.riccati.certificates import ANYWHERE
 
 OBSERVERS = ["james_baras_5_1_riccati", "james_baras_5_2_riccati", "chen_yen_least_squares"]
@@ -228,7 +228,7 @@ def test_fmpy_finds_nothing_wrong(catalogue: Path, name: str) -> None:
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_saved_state_resumes_bit_for_bit_and_nan_is_counted_and_logged(catalogue_slave: Callable, name: str) -> None:
     slave = catalogue_slave(name).initialize()
-    rejected = (james_baras if "riccati" in name else chen_yen).CODE
+    rejected = (riccati if "riccati" in name else least_squares).CODE
 
     def advance(first: int, count: int) -> None:
         for k in range(first, first + count):

@@ -34,7 +34,7 @@ from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 
 Build = Callable[[str], Path]
-JUMP = {"model.theta_jump_time[1]": 2.0, "model.theta_jump_value[1]": 0.1}
+JUMP = {"parameter.theta_jump_time[1]": 2.0, "parameter.theta_jump_value[1]": 0.1}
 NOISE = {"sensor.noise_bound": 0.1, "sensor.sample_time": 0.1}
 VARY = {"plant.start.x1": (-1.0, 1.0), "plant.start.x2": (-1.0, 1.0), "plant.sensor.seed": None}
 ERROR = "(observer.estimate.theta - plant.x.theta)"
@@ -146,7 +146,7 @@ def test_a_finished_campaign_does_not_run_again_and_more_runs_go_on_from_there(
     [
         ({"seed": 1}, "seed was 0, now 1"),
         ({"vary": {"plant.sensor.seed": None}}, "vary was"),
-        ({"overrides": {"plant.model.damping": 0.3}}, "overrides was {}, now {'plant.model.damping': 0.3}"),
+        ({"overrides": {"plant.parameter.damping": 0.3}}, "overrides was {}, now {'plant.parameter.damping': 0.3}"),
         ({"stop": 2.0}, "stop was 4.0, now 2.0"),
         ({"settle": 2.0}, "settle was 1.0, now 2.0"),
     ],
@@ -165,7 +165,7 @@ def test_another_ssp_file_of_the_same_name_in_the_same_folder_is_refused(
     system: Path, whole: Path, tmp_path: Path
 ) -> None:
     changed = read_ssp(system, tmp_path)
-    changed.elements["plant"].parameters["model.damping"] = 0.3  # type: ignore[index]
+    changed.elements["plant"].parameters["parameter.damping"] = 0.3  # type: ignore[index]
     write_ssp(changed, tmp_path / system.name)
     with pytest.raises(ExperimentError, match=r"the contents of the \.ssp file"):
         campaign(tmp_path / system.name, whole, runs=30, vary=VARY, settle=1.0)
@@ -182,7 +182,7 @@ def test_another_ssp_file_of_the_same_name_in_the_same_folder_is_refused(
         (("--vary", "plant.start.x1=0:nan"), "the range 0:nan must be finite and ascend"),
         (("--vary", "plant.start.x1=a:b"), "'a' and 'b' must be numbers"),
         (("--vary", "plant.start.x1=1"), "not of the form ELEMENT.VARIABLE=LOW:HIGH"),
-        (("--vary", "plant.model.damping=-1:1"), "'model.damping' = -1.0 lies outside [0, 100]"),
+        (("--vary", "plant.parameter.damping=-1:1"), "'parameter.damping' = -1.0 lies outside [0, 100]"),
         (("--vary", "plant.sensor.seed=0:9999999"), "'sensor.seed' = 9999999 lies outside [0, 1048576]"),
         (("--vary", "plant.sensor.seed=0.5:3"), "'sensor.seed' is an Integer: 0.5 is not a whole number"),
         (("--vary", "plant.sensor.seed", "--runs", 2000000), "has 1048577 values: too few for 2000000 runs"),

@@ -165,7 +165,7 @@ def test_an_unconnected_input_can_be_set(observed: System) -> None:
         ("seed", 7, "'seed' is not of the form <element>.<variable>"),
         ("plant.sensor.seed", "1.5", r"'sensor\.seed' is an Integer: 1\.5 is not a whole number"),
         ("plant.sensor.seed", "many", "'many' is not a number"),
-        ("plant.model.damping", -1.0, r"'model\.damping' = -1\.0 lies outside \[0, 100\]"),
+        ("plant.parameter.damping", -1.0, r"'parameter\.damping' = -1\.0 lies outside \[0, 100\]"),
         ("plant.x.x1", 1.0, r"'x\.x1' is an output that is calculated or constant: it cannot be set"),
         ("observer.y", 1.0, r"'observer\.y' cannot be set: it is connected to 'plant\.y'"),
     ],

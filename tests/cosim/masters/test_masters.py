@@ -56,8 +56,8 @@ def test_every_system_without_direct_feedthrough_gives_the_same_numbers_in_every
     ("element", "values"),
     [
         ("plant", {"start.x1": 1.25}),
-        ("plant", {"model.damping": 0.5}),
-        ("plant", {"model.theta_jump_time[1]": 2.03, "model.theta_jump_value[1]": 0.1}),
+        ("plant", {"parameter.damping": 0.5}),
+        ("plant", {"parameter.theta_jump_time[1]": 2.03, "parameter.theta_jump_value[1]": 0.1}),
         ("plant", {"sensor.seed": 7}),
         ("plant", {"u": 0.5}),
         ("toy", {"start.level": -2.0}),

@@ -42,8 +42,12 @@ def observer(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def coupled(observer: Path, built: Build) -> Record:
     """A run of Example 2: theta jumps at 10 s and 20 s."""
-    jumps = {"model.theta_jump_time[1]": 10.0, "model.theta_jump_value[1]": 0.1, "model.theta_jump_time[2]": 20.0}
-    plant = Element(built("duffing"), {**jumps, "model.theta_jump_value[2]": 0.3})
+    jumps = {
+        "parameter.theta_jump_time[1]": 10.0,
+        "parameter.theta_jump_value[1]": 0.1,
+        "parameter.theta_jump_time[2]": 20.0,
+    }
+    plant = Element(built("duffing"), {**jumps, "parameter.theta_jump_value[2]": 0.3})
     elements = {"plant": plant, "observer": Element(observer, {"tuning.residual_limit": 1e-6})}
     return run(System("example", elements, [("plant.y", "observer.y")], stop=30.0, step=0.1))
 

@@ -229,7 +229,7 @@ def test_a_connection_that_does_not_fit_is_refused(system: System, connection: t
         ("sensor.seed", 1.5, r"'sensor\.seed' is an Integer: 1\.5 is not a whole number"),
         ("sensor.seed", float("nan"), "is not a whole number"),
         ("sensor.seed", 2**21, r"'sensor\.seed' = 2097152 lies outside \[0, 1048576\]"),
-        ("model.damping", "strong", r"'model\.damping' is a Real: 'strong' is not a number"),
+        ("parameter.damping", "strong", r"'parameter\.damping' is a Real: 'strong' is not a number"),
         ("y", 1.0, "'y' is an output that is calculated"),
     ],
 )

@@ -105,7 +105,7 @@ def test_the_archive_holds_what_an_fmu_should(built: Path_of) -> None:
         assert archive.read("model.png").startswith(b"\x89PNG")
         page = archive.read("documentation/index.html").decode()
     assert "<svg" in page and "src=" not in page and "http://www.w3.org" in page
-    assert all(port in page for port in ("model.theta_jump_time[1]", "sensor.noise_bound", "x.theta"))
+    assert all(port in page for port in ("parameter.theta_jump_time[1]", "sensor.noise_bound", "x.theta"))
     assert "[0, 1048576]" in page  # of the seed
 
 

@@ -26,10 +26,10 @@ NOISY = {
     "sensor.noise_bound": 0.02,
     "sensor.noise_std": 0.01,
     "sensor.seed": 7,
-    "model.theta_jump_time[1]": 0.456,
-    "model.theta_jump_value[1]": 1.5,
-    "model.theta_jump_time[2]": 1.0,
-    "model.theta_jump_value[2]": -0.3,
+    "parameter.theta_jump_time[1]": 0.456,
+    "parameter.theta_jump_value[1]": 1.5,
+    "parameter.theta_jump_time[2]": 1.0,
+    "parameter.theta_jump_value[2]": -0.3,
 }
 
 
@@ -68,7 +68,7 @@ def signals(t: float) -> dict[str, float]:
 
 
 CASES = {
-    "duffing": (NOISY, lambda t: {"u": math.sin(t), "model.damping": 0.25 if t < 4 else 0.5}),
+    "duffing": (NOISY, lambda t: {"u": math.sin(t), "parameter.damping": 0.25 if t < 4 else 0.5}),
     "sampled_toy": ({"start.level": 2.0, "tuning.scale": 3}, signals),
     "feedthrough_toy": ({"gain": 3.0}, lambda t: {"position": math.sin(t)}),
 }

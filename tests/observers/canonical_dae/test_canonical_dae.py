@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 
-from observers.canonical_dae import fault_detector, nikoukhah
+from observers.canonical_dae import canonical_dae, fault_detector
 from observers.canonical_dae.dae import relaxed
 from observers.canonical_dae.gain import exact, regional
 from observers.canonical_dae.ports import CODE
@@ -130,7 +130,7 @@ def truth():
 
 
 def largest_after_4(truth, Ts, **options):
-    component = nikoukhah(AUTONOMOUS, sample_time=Ts, **options)
+    component = canonical_dae(AUTONOMOUS, sample_time=Ts, **options)
     times, x3, run = follow(component, lambda t: truth.sol(t)[:2], ["filtered.x3"], 6.0, Ts, parameters={"guess.x3": 0})
     assert run.get("diagnostics.solver_failures") == 0
     settled = times > 4
@@ -144,7 +144,7 @@ def test_the_w_form_is_as_exact_as_runge_kutta_and_the_cubic_are(truth):
 
 
 def test_regional_placement_meets_the_reference_by_backward_differentiation_of_order_3_at_10_ms(truth):
-    component = nikoukhah(AUTONOMOUS, sample_time=0.01, gain="regional", alpha=10.0, form="bdf", order=3)
+    component = canonical_dae(AUTONOMOUS, sample_time=0.01, gain="regional", alpha=10.0, form="bdf", order=3)
     times, x3, _ = follow(component, lambda t: truth.sol(t)[:2], ["filtered.x3"], 1.0, 0.01, parameters={"guess.x3": 0})
     errors = np.abs(x3[:, 0] - truth.sol(times)[2])[[20, 50, 100]]
     np.testing.assert_allclose(errors, [0.355, 0.194, 3.1e-3], rtol=0.03)  # errata: |e3| at t = 0.2, 0.5, 1
@@ -197,7 +197,7 @@ def test_both_forms_follow_the_papers_dae_for_a_nonlinear_output_as_the_step_shr
     reference, h = curved_reference(3.0)
     gaps = []
     for Ts in (0.04, 0.02):
-        component = nikoukhah(CURVED, sample_time=Ts, gain=lambda x, u, p, t: [[2], [1]], **options)
+        component = canonical_dae(CURVED, sample_time=Ts, gain=lambda x, u, p, t: [[2], [1]], **options)
         names = ["filtered.a", "filtered.b", "diagnostics.lambda", "diagnostics.solver_failures"]
         times, found, _ = follow(
             component, lambda t: [float(h(*reference.sol(t)[:2]))], names, 2.9, Ts, parameters={"guess.b": -0.5}
@@ -220,7 +220,7 @@ def test_a_measurement_that_no_state_explains_fails_the_solve_and_keeps_the_pred
         output=lambda x, u, p, t: [x.a**2],
     )
     for form in ("w", "bdf"):
-        run = Instance(nikoukhah(square, sample_time=0.1, poles=[-2.0], form=form))
+        run = Instance(canonical_dae(square, sample_time=0.1, poles=[-2.0], form=form))
         for k in range(30):
             run.set("y", -1.0 if k == 12 else math.exp(-0.02 * k))
             prediction = run.get("estimate.a")
@@ -235,7 +235,7 @@ def test_a_measurement_that_no_state_explains_fails_the_solve_and_keeps_the_pred
 
 @pytest.mark.parametrize("form", ["w", "bdf"])
 def test_a_measurement_that_is_not_finite_leaves_the_prediction_and_one_of_two_only_itself(form):
-    component = nikoukhah(MOTOR, sample_time=0.001, form=form, guess={"x3": 0.0})
+    component = canonical_dae(MOTOR, sample_time=0.001, form=form, guess={"x3": 0.0})
     run, truth_x = Instance(component), np.array([0.8, 0.1, 10.0])
     run.set("u", 2.0)
     for k in range(1200):
@@ -267,7 +267,7 @@ def test_an_unknown_parameter_is_a_state_with_zero_rate():
         ode=lambda x, u, p, t: [1 - p.rate * x.temperature],
         output=lambda x, u, p, t: [x.temperature],
     )
-    component = nikoukhah(cooling, sample_time=0.05, poles=[-1.0, -1.5])
+    component = canonical_dae(cooling, sample_time=0.05, poles=[-1.0, -1.5])
     exact_y = lambda t: [2.5 - 0.5 * math.exp(-0.4 * t)]  # noqa: E731
     _, found, _ = follow(component, exact_y, ["filtered.rate"], 25.0, 0.05)
     assert found[0, 0] == pytest.approx(0.2, abs=0.01) and found[-1, 0] == pytest.approx(0.4, abs=1e-6)
@@ -275,7 +275,7 @@ def test_an_unknown_parameter_is_a_state_with_zero_rate():
 
 @pytest.mark.parametrize("form", ["w", "bdf"])
 def test_an_unknown_force_is_estimated_and_the_velocity_is_not_disturbed_by_it(form):
-    component = nikoukhah(MASS_WITH_UNKNOWN_FORCE, sample_time=0.01, form=form, poles=[-5.0])
+    component = canonical_dae(MASS_WITH_UNKNOWN_FORCE, sample_time=0.01, form=form, poles=[-5.0])
     position, velocity, force = (lambda t: 1 - np.cos(t)), np.sin, np.cos
     names = ["filtered.force", "filtered.x2", "diagnostics.lambda"]
     times, found, _ = follow(
@@ -385,7 +385,7 @@ class _Any:
 )
 def test_a_model_that_breaks_an_assumption_is_refused_by_name(make, words):
     with pytest.raises(ModelError) as caught:
-        nikoukhah(make(), sample_time=0.01)
+        canonical_dae(make(), sample_time=0.01)
     for word in words:
         assert word in str(caught.value), caught.value
 
@@ -425,7 +425,7 @@ def test_a_model_that_breaks_an_assumption_is_refused_by_name(make, words):
 )
 def test_an_option_out_of_range_is_refused_by_name(options, words):
     with pytest.raises(ValueError) as caught:
-        nikoukhah(MOTOR, **({"sample_time": 0.001} | options))
+        canonical_dae(MOTOR, **({"sample_time": 0.001} | options))
     for word in words:
         assert word in str(caught.value), caught.value
 

@@ -53,7 +53,7 @@ def test_the_measured_states_equal_the_measurements_exactly(example: Example) ->
 
 
 def test_regional_placement_converges_as_the_continuous_equations_do(example: Example) -> None:
-    # By scipy, solve_continuous_are at every instant, rtol 1e-8: see docs/nikoukhah.md.
+    # By scipy, solve_continuous_are at every instant, rtol 1e-8: see docs/canonical_dae.md.
     found = error(example("motor_regional"))[[200, 500, 1000]]
     np.testing.assert_allclose(found, [0.3782, 0.1952, 1.795e-3], rtol=0.01)
 
@@ -77,7 +77,10 @@ def test_an_actuator_fault_is_detected_within_50_ms_and_noise_alone_never_in_60_
         quiet = example("motor", stop=64.0, overrides=NOISE | {"plant.sensor.seed": seed})
         assert set(quiet["observer.diagnostics.fault"][4000:]) <= {fault_detector.QUIET, fault_detector.SUSPECTED}
     for onset, seed in ((64.0, 0), *((4.0, seed) for seed in range(8))):
-        fault = {"plant.model.actuator_fault_jump_time[1]": onset, "plant.model.actuator_fault_jump_value[1]": 2.0}
+        fault = {
+            "plant.parameter.actuator_fault_jump_time[1]": onset,
+            "plant.parameter.actuator_fault_jump_value[1]": 2.0,
+        }
         result = example("motor", stop=onset + 1.0, overrides=NOISE | fault | {"plant.sensor.seed": seed})
         detected = result["observer.diagnostics.fault"] == fault_detector.DETECTED
         first = result.time[np.flatnonzero(detected)[0]]
@@ -86,13 +89,13 @@ def test_an_actuator_fault_is_detected_within_50_ms_and_noise_alone_never_in_60_
 
 
 def test_an_actuator_fault_drives_lambda_2_to_the_references_0_31(example: Example) -> None:
-    fault = {"plant.model.actuator_fault_jump_time[1]": 4.0, "plant.model.actuator_fault_jump_value[1]": 2.0}
+    fault = {"plant.parameter.actuator_fault_jump_time[1]": 4.0, "plant.parameter.actuator_fault_jump_value[1]": 2.0}
     residual = np.abs(example("motor", overrides=fault)["observer.diagnostics.lambda[2]"])
     assert residual[3500:4000].max() < 6e-4 and residual[4001:].max() == pytest.approx(0.31, rel=0.03)
 
 
 def test_a_sensor_bias_shows_in_lambda_2_at_its_size(example: Example) -> None:
-    bias = {"plant.model.bias_y2_jump_time[1]": 4.0, "plant.model.bias_y2_jump_value[1]": 0.1}
+    bias = {"plant.parameter.bias_y2_jump_time[1]": 4.0, "plant.parameter.bias_y2_jump_value[1]": 0.1}
     result = example("motor", overrides=bias)
     assert np.abs(result["observer.diagnostics.lambda[2]"][4050:] - 0.1).max() < 1e-3
     assert np.abs(result["observer.diagnostics.lambda[1]"][4050:]).max() < 1e-3
@@ -141,7 +144,7 @@ def test_example_2_1_cannot_converge_for_no_input(example: Example) -> None:
 def response(slave: Callable, frequency: float, gamma: tuple[float, float]) -> complex:
     """Amplitude and phase of filtered.x2 for y = sin(frequency t) at Ts = 0.01, once the transient is over."""
     root = -gamma[0] / 2  # a double pole
-    observer = slave("double_integrator_nikoukhah").initialize({"tuning.pole[1]": root, "tuning.pole[2]": root})
+    observer = slave("double_integrator_canonical_dae").initialize({"tuning.pole[1]": root, "tuning.pole[2]": root})
     count = 2200
     times, found = 0.01 * np.arange(count), np.empty(count)
     for k in range(count):
@@ -175,7 +178,7 @@ def test_an_unknown_force_is_known_one_sample_after_it_jumps_and_disturbs_nothin
 
 
 def test_a_measurement_that_is_not_a_number_is_counted_and_logged(catalogue_slave: Callable) -> None:
-    slave = catalogue_slave("motor_nikoukhah").initialize()
+    slave = catalogue_slave("motor_canonical_dae").initialize()
     for k in range(20):
         slave.set("y1", math.nan if k == 10 else 0.8)
         slave.set("y2", math.nan if k == 10 else 0.1)
@@ -192,7 +195,7 @@ def test_a_measurement_that_is_not_a_number_is_counted_and_logged(catalogue_slav
 @pytest.mark.parametrize("name", ["motor", "motor_regional", "motor_bdf"])
 def test_the_python_face_and_the_fmu_agree_over_a_whole_run(example: Example, name: str) -> None:
     result = example(name, stop=1.0, overrides=NOISE)
-    observer = Instance(FMUS[name.replace("motor", "motor_nikoukhah")][0](), nikoukhah_1995.DETECTOR)
+    observer = Instance(FMUS[name.replace("motor", "motor_canonical_dae")][0](), nikoukhah_1995.DETECTOR)
     names = [port.name for port in observer.component.outputs]
     for k in range(len(result.time) - 1):
         for measured in ("y1", "y2"):
@@ -205,7 +208,7 @@ def test_the_python_face_and_the_fmu_agree_over_a_whole_run(example: Example, na
 
 @pytest.mark.parametrize("sample", [2, 40])
 def test_a_saved_state_resumes_bit_for_bit(catalogue_slave: Callable, sample: int) -> None:
-    slave = catalogue_slave("motor_nikoukhah_bdf").initialize()
+    slave = catalogue_slave("motor_canonical_dae_bdf").initialize()
 
     def advance(first: int, count: int) -> None:
         for k in range(first, first + count):

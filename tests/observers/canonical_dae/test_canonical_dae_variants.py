@@ -17,7 +17,7 @@ from conftest import Slave
 from cosim.master import run
 from cosim.system import Element, System
 from fmu_src import export
-from observers.canonical_dae import nikoukhah
+from observers.canonical_dae import canonical_dae
 from observers.canonical_dae.ports import CODE
 from observers.component import Component
 from observers.model import Model, ModelError, Variable
@@ -111,7 +111,7 @@ def follow(slave: Slave, Ts: float, count: int, inputs: Callable[[float], dict[s
 
 @pytest.mark.long  # its gain takes the compiler minutes
 def test_regional_placement_meets_the_reference_by_backward_differentiation_of_order_3_at_10_ms(fmu):
-    component = nikoukhah(
+    component = canonical_dae(
         SMOOTHLY_DRIVEN,
         sample_time=0.01,
         gain="regional",
@@ -135,7 +135,7 @@ def test_regional_placement_meets_the_reference_by_backward_differentiation_of_o
 
 @pytest.mark.parametrize(("real", "imaginary"), [(-2.0, 3.0), (-1.0, 5.0), (-4.0, 0.0)])
 def test_a_pair_of_complex_poles_is_the_errors_motion_and_tunable(fmu, real, imaginary):
-    component = nikoukhah(
+    component = canonical_dae(
         DOUBLE_INTEGRATOR, sample_time=0.01, poles=[-2 + 3j, -2 - 3j], guess={"x1": 0.0, "x2": 0.0}, name="pair"
     )
     slave = fmu(component).initialize({"tuning.pole_pair.real": real, "tuning.pole_pair.imaginary": imaginary})
@@ -151,7 +151,7 @@ def test_a_pair_of_complex_poles_is_the_errors_motion_and_tunable(fmu, real, ima
 @pytest.mark.long
 def test_a_full_x_is_set_by_its_factor_and_a_diagonal_entry_below_its_bound_is_refused(fmu):
     X = [[2.0, -0.5], [-0.5, 1.0]]
-    component = nikoukhah(MOTOR, sample_time=1e-3, gain="regional", X=X, guess={"x3": 0.0}, name="full_x")
+    component = canonical_dae(MOTOR, sample_time=1e-3, gain="regional", X=X, guess={"x3": 0.0}, name="full_x")
     slave, x = fmu(component), motor()
     message = slave.refuses(lambda: slave.set("tuning.X_root[2,2]", -1.0))
     assert "tuning.X_root[2,2]" in message and "-1" in message and "1e-09" in message
@@ -164,7 +164,7 @@ def test_a_full_x_is_set_by_its_factor_and_a_diagonal_entry_below_its_bound_is_r
 
 @pytest.mark.parametrize(("form", "limit"), [("w", 1e-4), ("bdf", 2e-3)])
 def test_a_current_that_jumps_in_the_measured_voltage_leaves_the_estimate_alone(fmu, form, limit):
-    component = nikoukhah(
+    component = canonical_dae(
         CELL, sample_time=1.0, form=form, poles=[-0.05, -0.05], guess={"charge": 0.5}, name=f"cell_{form}"
     )
     slave, truth, Ts = fmu(component).initialize(), np.array([0.8, 0.0]), 1.0
@@ -185,7 +185,7 @@ def test_a_current_that_jumps_in_the_measured_voltage_leaves_the_estimate_alone(
 
 
 def test_the_master_hands_over_a_voltage_of_the_current_that_it_hands_over(folder):
-    observer = nikoukhah(CELL, sample_time=1.0, poles=[-0.05, -0.05], guess={"charge": 0.5}, name="cell_observer")
+    observer = canonical_dae(CELL, sample_time=1.0, poles=[-0.05, -0.05], guess={"charge": 0.5}, name="cell_observer")
     drive = {"amplitude": 4.0, "frequency": 0.2, "offset": 1.0}
     elements = {
         "source": Element(export(sine(), folder), drive),
@@ -220,7 +220,7 @@ def bridge_reference(stop: float):
 @pytest.mark.parametrize(("form", "order"), [("w", 1.8), ("bdf", 1.7)])
 def test_an_input_that_scales_the_output_gives_the_papers_dae_as_the_step_shrinks(fmu, form, order):
     reference, gaps = bridge_reference(2.5), []
-    component = nikoukhah(
+    component = canonical_dae(
         BRIDGE,
         sample_time=0.04,
         gain=lambda x, u, p, t: [[2], [1]],
@@ -244,7 +244,7 @@ def test_an_input_that_scales_the_output_gives_the_papers_dae_as_the_step_shrink
 
 
 def test_a_load_torque_is_estimated_as_fast_as_the_field_that_it_hides_decays(fmu):
-    component = nikoukhah(LOADED, sample_time=1e-3, gain="regional", alpha=0.2, guess={"x3": 8.0}, name="loaded")
+    component = canonical_dae(LOADED, sample_time=1e-3, gain="regional", alpha=0.2, guess={"x3": 8.0}, name="loaded")
     x, slave = motor(3.0), fmu(component).initialize()
     found = follow(
         slave,
@@ -278,7 +278,7 @@ ROOM = Model(
 
 @pytest.mark.parametrize("form", ["w", "bdf"])
 def test_one_output_gives_one_disturbance_where_the_rest_decays_by_itself(fmu, form):
-    component = nikoukhah(
+    component = canonical_dae(
         ROOM, sample_time=0.01, form=form, gain="regional", alpha=0.1, guess={"wall": 1.0}, name=f"room_{form}"
     )
     x = solve_ivp(
@@ -301,11 +301,11 @@ def test_one_output_gives_one_disturbance_where_the_rest_decays_by_itself(fmu, f
 
 def test_where_no_relaxation_is_left_poles_are_refused():
     with pytest.raises(ValueError, match="no relaxation is left"):
-        nikoukhah(ROOM, sample_time=0.01, gain="regional", alpha=0.1, poles=[-1.0])
+        canonical_dae(ROOM, sample_time=0.01, gain="regional", alpha=0.1, poles=[-1.0])
 
 
 def test_a_rate_tuned_beyond_what_the_hidden_field_allows_is_said_by_the_status(fmu):
-    component = nikoukhah(LOADED, sample_time=1e-3, gain="regional", alpha=0.2, guess={"x3": 8.0}, name="loaded")
+    component = canonical_dae(LOADED, sample_time=1e-3, gain="regional", alpha=0.2, guess={"x3": 8.0}, name="loaded")
     x = motor(3.0)
     for alpha, status in ((0.3, CODE.estimating), (0.34, CODE.singular_gain), (10.0, CODE.singular_gain)):
         found = follow(
@@ -329,6 +329,6 @@ def test_a_rate_tuned_beyond_what_the_hidden_field_allows_is_said_by_the_status(
 )
 def test_a_hidden_field_that_decays_more_slowly_than_is_asked_for_is_refused_with_its_eigenvalue(options, words):
     with pytest.raises(ModelError) as caught:
-        nikoukhah(LOADED, sample_time=1e-3, **options)
+        canonical_dae(LOADED, sample_time=1e-3, **options)
     for word in words:
         assert word in str(caught.value), caught.value

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh, expm
 
-from observers.elementary import calvillo_alamir
+from observers.elementary import elementary
 from observers.elementary.identifiability import describe as describe_null
 from observers.elementary.identifiability import least_visible
 from observers.elementary.iteration import iteration, tuning_layout
@@ -79,7 +79,7 @@ def test_a_kink_in_an_unknown_needs_the_grid_and_one_in_time_does_not() -> None:
 )
 def test_what_cannot_be_is_refused_by_name(model: Model, options: dict[str, Any], words: str) -> None:
     with pytest.raises((ValueError, ModelError), match=words):
-        calvillo_alamir(model, **{"sample_time": 0.05, "N": 21} | options)
+        elementary(model, **{"sample_time": 0.05, "N": 21} | options)
 
 
 def test_a_state_that_no_output_sees_is_refused() -> None:
@@ -91,7 +91,7 @@ def test_a_state_that_no_output_sees_is_refused() -> None:
         output=lambda x, u, p, t: [x.a],
     )
     with pytest.raises(ModelError, match="no output ever sees b"):
-        calvillo_alamir(hidden, sample_time=0.1, N=11)
+        elementary(hidden, sample_time=0.1, N=11)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_a_disturbance_that_no_problem_can_find_is_refused(rate: Any, output: An
         output=output,
     )
     with pytest.raises(ModelError, match=words):
-        calvillo_alamir(model, sample_time=0.1, N=11)
+        elementary(model, sample_time=0.1, N=11)
 
 
 @pytest.mark.parametrize("level", [LQ, GRID])
@@ -124,7 +124,7 @@ def test_a_problem_without_controls_is_one_for_its_initial_state_alone(level: st
         output=lambda x, u, p, t: [x.a],
     )
     observer = Instance(
-        calvillo_alamir(model, sample_time=0.1, N=11, K=10, levels={"b": level}, r={"a": {"b": 1e-3}}), {"guess.b": 0.0}
+        elementary(model, sample_time=0.1, N=11, K=10, levels={"b": level}, r={"a": {"b": 1e-3}}), {"guess.b": 0.0}
     )
     true = Instance(plant(model))
     for k in range(40):
@@ -208,7 +208,7 @@ def test_without_disturbances_the_visibility_is_the_gramians() -> None:
 
 
 def test_tuning_has_a_weight_for_every_problem_control_and_average() -> None:
-    names = [p.name.removeprefix("tuning.") for p in calvillo_alamir(VAN_DER_POL, sample_time=0.1, N=11).parameters]
+    names = [p.name.removeprefix("tuning.") for p in elementary(VAN_DER_POL, sample_time=0.1, N=11).parameters]
     assert [n for n in names if n.split(".")[0] in ("q", "r", "weight")] == [
         "q.x1", "q.x2", "r.x1.x2", "r.x1.v", "r.x2.x1",
         "weight.x1.x1", "weight.x1.x2", "weight.x2.x1", "weight.x2.x2", "weight.v.x1",
@@ -218,7 +218,7 @@ def test_tuning_has_a_weight_for_every_problem_control_and_average() -> None:
 
 def known_horizon() -> tuple[Instance, Instance]:
     options: dict[str, Any] = {"sample_time": 0.05, "N": 21, "guess": {"x2": 0.0}}
-    return Instance(calvillo_alamir(VAN_DER_POL_KNOWN, **options, **WEIGHTS_WITHOUT_V)), Instance(plant(VAN_DER_POL))
+    return Instance(elementary(VAN_DER_POL_KNOWN, **options, **WEIGHTS_WITHOUT_V)), Instance(plant(VAN_DER_POL))
 
 
 def feed(observer: Instance, true: Instance, k: int, y: float | None = None) -> None:
@@ -272,7 +272,7 @@ def test_a_known_sign_is_enough_where_the_disturbance_rests_at_it() -> None:
     """v >= 0 and no upper bound: with v = 0 the shift is resolved from above, in a window that grows."""
     model = replace(VAN_DER_POL, unknown_disturbances=[Variable("v", min=0.0, nominal=0.5)])
     options: dict[str, Any] = {"sample_time": 0.1, "N": 11, "nodes": 41, "guess": {"x2": 0.0}}
-    observer, true = Instance(calvillo_alamir(model, **options, **WEIGHTS)), Instance(plant(VAN_DER_POL))
+    observer, true = Instance(elementary(model, **options, **WEIGHTS)), Instance(plant(VAN_DER_POL))
     for k in range(25):
         for name, gain in (("u", 1.0), ("mu", 0.1)):
             for one in (observer, true):

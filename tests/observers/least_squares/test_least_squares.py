@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from observers.instance import Instance
-from observers.least_squares import chen_yen
+from observers.least_squares import least_squares
 from observers.least_squares.observer import CODE
 from observers.model import Model, ModelError, Variable
 from reference_models.chen_yen import CHEN_YEN
@@ -45,7 +45,7 @@ def drive(observer, true, Ts, count, first=0):
 
 def test_within_an_interval_it_is_batch_least_squares_with_the_guess_as_prior():
     gamma, p0, Ts, rng = 2.0, 0.7, 0.1, np.random.default_rng(0)
-    observer = Instance(chen_yen(linear(), sample_time=Ts, T=100.0, gamma=gamma, p0=p0))
+    observer = Instance(least_squares(linear(), sample_time=Ts, T=100.0, gamma=gamma, p0=p0))
     samples, guess = rng.normal(size=20), np.zeros(3)
     rows, right = [np.eye(3) / math.sqrt(p0)], [guess / math.sqrt(p0)]
     for k, y in enumerate(samples):
@@ -84,7 +84,7 @@ def test_it_converges_to_the_papers_continuous_observer_of_second_order_in_the_s
         z = solve_ivp(rhs, (k * T, (k + 1) * T), z, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
     gaps = []
     for Ts in (0.1, 0.05, 0.025):
-        observer = Instance(chen_yen(CHEN_YEN, sample_time=Ts, T=T, gamma=gamma, p0=p0, guess={"x1": 0, "x2": 0}))
+        observer = Instance(least_squares(CHEN_YEN, sample_time=Ts, T=T, gamma=gamma, p0=p0, guess={"x1": 0, "x2": 0}))
         true = Instance(plant(CHEN_YEN))
         *_, _ = drive(observer, true, Ts, round(3 * T / Ts))
         # The sample at t = 6 s still has to end the interval: its half weight is what the trapezoid lacks.
@@ -102,7 +102,7 @@ def test_it_converges_to_the_papers_continuous_observer_of_second_order_in_the_s
 
 
 def test_half_a_second_between_samples_and_p0_of_1e4_are_stable():
-    observer = Instance(chen_yen(CHEN_YEN, sample_time=0.5, T=2.0, gamma=20.0, p0=1e4, guess={"x1": 0, "x2": 0}))
+    observer = Instance(least_squares(CHEN_YEN, sample_time=0.5, T=2.0, gamma=20.0, p0=1e4, guess={"x1": 0, "x2": 0}))
     errors = [np.linalg.norm(e) for e in drive(observer, Instance(plant(CHEN_YEN)), 0.5, 80)]
     true_growth = 10.0 * math.exp(0.5 * 40)
     assert max(errors) < 10 and errors[-1] < 1e-12 * true_growth
@@ -124,7 +124,9 @@ def switched(period=0.37):
 
 
 def switched_error(max_step):
-    observer = Instance(chen_yen(switched(), sample_time=0.1, T=1.0, gamma=20.0, max_step=max_step), {"guess.x1": 3.0})
+    observer = Instance(
+        least_squares(switched(), sample_time=0.1, T=1.0, gamma=20.0, max_step=max_step), {"guess.x1": 3.0}
+    )
     x, gap = np.array([1.0, -1.0]), 0.0
     for k in range(80):
         observer.set("y", x[0])
@@ -145,7 +147,7 @@ def test_an_A_that_switches_between_samples_stays_stable_and_substeps_bound_its_
 
 
 def test_gaussian_noise_of_0_1_leaves_an_rms_error_of_at_most_0_025():
-    observer = Instance(chen_yen(CHEN_YEN, sample_time=0.05, T=0.25, gamma=20.0, p0=0.1, guess={"x1": 0, "x2": 0}))
+    observer = Instance(least_squares(CHEN_YEN, sample_time=0.05, T=0.25, gamma=20.0, p0=0.1, guess={"x1": 0, "x2": 0}))
     noisy = {"sensor.noise_std": 0.1, "sensor.sample_time": 0.05, "sensor.seed": 1}
     errors = np.array(list(drive(observer, Instance(plant(CHEN_YEN), noisy), 0.05, 1200)))[200:]
     assert np.sqrt(np.mean(errors**2)) <= 0.025
@@ -153,9 +155,9 @@ def test_gaussian_noise_of_0_1_leaves_an_rms_error_of_at_most_0_025():
 
 def test_a_nonlinear_model_is_refused_by_name_unless_it_may_be_linearised():
     with pytest.raises(ModelError, match=r"duffing.*x2.*linearise=True"):
-        chen_yen(DUFFING, sample_time=0.01, T=1.0)
+        least_squares(DUFFING, sample_time=0.01, T=1.0)
     observer = Instance(
-        chen_yen(
+        least_squares(
             DUFFING, sample_time=0.01, T=1.0, gamma=100.0, p0=10.0, linearise=True, guess={"x1": 1.5, "theta": 0.3}
         )
     )
@@ -173,13 +175,13 @@ def test_a_nonlinear_model_is_refused_by_name_unless_it_may_be_linearised():
 )
 def test_impossible_tuning_is_refused_by_name(arguments, words):
     with pytest.raises(ValueError) as caught:
-        chen_yen(CHEN_YEN, **{"sample_time": 0.01, "T": 0.25, **arguments})
+        least_squares(CHEN_YEN, **{"sample_time": 0.01, "T": 0.25, **arguments})
     for word in words:
         assert word in str(caught.value)
 
 
 def test_rejected_samples_weigh_nothing():
-    observer, other = (Instance(chen_yen(linear(), sample_time=0.1, T=0.5), {"guess.x0": 1.0}) for _ in range(2))
+    observer, other = (Instance(least_squares(linear(), sample_time=0.1, T=0.5), {"guess.x0": 1.0}) for _ in range(2))
     observer.set("y", 1.7)
     observer.step(0.0, 0.1)
     before = [observer.get(f"estimate.x{i}") for i in range(3)]

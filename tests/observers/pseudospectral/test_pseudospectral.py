@@ -247,7 +247,7 @@ def test_a_prediction_cheaper_than_the_threshold_is_kept_without_a_solve():
 def test_a_changed_model_parameter_is_said_for_a_windows_length():
     p, o = started()
     for run in (p, o):
-        run.set("model.damping", 0.3)
+        run.set("parameter.damping", 0.3)
     statuses = go_on(p, o, 20, 20)
     assert statuses[:8] == [CODE.parameter_changed] * 8 and CODE.parameter_changed not in statuses[8:]
     assert abs(o.get("filtered.theta") - 0.4) < 1e-8

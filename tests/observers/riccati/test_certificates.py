@@ -11,7 +11,7 @@ from scipy.linalg import solve_continuous_are
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.numerics.riccati import riccati_step
-from observers.riccati import james_baras
+from observers.riccati import riccati
 from observers.riccati.certificates import ANYWHERE, INSIDE, NONE, OUTSIDE
 from reference_models.james_baras_5_1 import JAMES_BARAS_5_1
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
@@ -24,7 +24,7 @@ def constants(component):
 
 def riccati_5_2(**changes):
     arguments = dict(sample_time=0.01, N=math.sqrt(0.2), R=3.0, Q0=0.01, guess={"x1": 0.0, "x2": 0.0})
-    return james_baras(JAMES_BARAS_5_2, **{**arguments, **changes})
+    return riccati(JAMES_BARAS_5_2, **{**arguments, **changes})
 
 
 def test_the_certificates_of_example_5_2_are_those_worked_out_by_hand():
@@ -69,7 +69,7 @@ def bounded_5_2(bound):
 def test_the_bounds_of_the_model_bound_the_guess_error():
     """|x0 - m0| is the distance to the farthest corner: inside rho from the middle, outside it from a corner, unless more is known."""
     bound = 0.085
-    component = james_baras(bounded_5_2(bound), sample_time=0.01, N=0.4, R=0.3, Q0=1.0)
+    component = riccati(bounded_5_2(bound), sample_time=0.01, N=0.4, R=0.3, Q0=1.0)
     rho = constants(component)["rho"]
     assert math.sqrt(2) * bound < rho < 2 * math.sqrt(2) * bound
 
@@ -105,8 +105,7 @@ def test_the_constants_are_rounded_outward():
         (1.3, 170.0, 1 / 11),
     ):  # so that Lambda = 0
         found = {
-            name: Fraction(value)
-            for name, value in constants(james_baras(model, sample_time=0.1, N=N, R=R, Q0=Q0)).items()
+            name: Fraction(value) for name, value in constants(riccati(model, sample_time=0.1, N=N, R=R, Q0=Q0)).items()
         }
         A, H, r0, Q_0 = Fraction(2) / 3, Fraction(third) / Fraction(R), Fraction(N) ** 2, Fraction(Q0)
         ulps = Fraction(1, 10**14)  # what the model's own doubles, 2 / 3 and 1 / 3, may be off by
@@ -130,7 +129,7 @@ def test_an_operation_without_interval_arithmetic_is_named_in_the_documentation(
         ode=lambda x, u, p, t: [-x.x + ca.asinh(x.x)],
         output=lambda x, u, p, t: [ca.erf(x.x) + x.x * ca.asinh(ca.asin(x.x / 2))],
     )
-    component = james_baras(model, sample_time=0.1)
+    component = riccati(model, sample_time=0.1)
     assert "OP_ASIN" in component.documentation and "no certificate" in component.documentation
     assert Instance(component).get("diagnostics.certified") == NONE
 
@@ -143,7 +142,7 @@ def test_a_missing_bound_is_named_in_the_documentation():
         ode=lambda x, u, p, t: [-(x.level**3) + x.other, -x.other],
         output=lambda x, u, p, t: [x.level],
     )
-    documentation = james_baras(model, sample_time=0.1).documentation
+    documentation = riccati(model, sample_time=0.1).documentation
     assert "no bound over level, which the model does not bound" in documentation
 
 
@@ -172,7 +171,7 @@ def test_a_changed_tuning_makes_the_certificate_void(change):
 
 
 def test_example_5_1_is_certified_from_anywhere_though_A_is_not_negative_across_the_unseen_directions():
-    component = james_baras(JAMES_BARAS_5_1, sample_time=0.01, guess={"x1": 0, "x2": 0, "x3": 0}, expose=["Q"])
+    component = riccati(JAMES_BARAS_5_1, sample_time=0.01, guess={"x1": 0, "x2": 0, "x3": 0}, expose=["Q"])
     found = constants(component)
     assert found["alpha0"] < 0 and found["q_paper"] == 1e30 and found["q"] < 100
     run = Instance(component)
@@ -192,7 +191,7 @@ def test_on_an_invariant_unstable_model_the_bound_of_Q_is_the_algebraic_equation
         output=lambda x, u, p, t: [sum(C[0, j] * getattr(x, f"x{j}") for j in range(n))],
     )
     largest = np.linalg.eigvalsh(solve_continuous_are(A.T, C.T, np.eye(n), np.eye(1))).max()
-    component = james_baras(model, sample_time=0.1, Q0=1e-3)
+    component = riccati(model, sample_time=0.1, Q0=1e-3)
     assert largest <= constants(component)["q"] <= largest * (1 + 1e-3)
     assert Instance(component).get("diagnostics.certified") == ANYWHERE
 
@@ -201,7 +200,7 @@ def test_no_control_that_was_tried_drives_Q_of_example_5_1_beyond_its_bound():
     B = np.array([[[0.3, 0, 0], [0.2, -0.3, 0], [0, 0.2, 0.4]], [[-0.2, 0, 0], [0, 0.4, 0], [0.3, 0, -0.3]]])
     A, H = np.array([[0, 1, 0], [0, 0, 1], [-1, -2, -0.5]]), np.array([[1.0, 0, 0]])
     vertices = [A + a * B[0] + b * B[1] for a in (-1, 1) for b in (-1, 1)]
-    q, found, rng = constants(james_baras(JAMES_BARAS_5_1, sample_time=0.01))["q"], [], np.random.default_rng(0)
+    q, found, rng = constants(riccati(JAMES_BARAS_5_1, sample_time=0.01))["q"], [], np.random.default_rng(0)
     for hold in (0.2, 0.5, 1.0, 3.0):  # [s], how long one of the controls' corners is held
         Q = np.eye(3)
         for _ in range(500):
@@ -219,7 +218,7 @@ def test_where_every_state_is_measured_Q_is_bounded_without_detectability_of_A()
         ode=lambda x, u, p, t: [x.x + 0.1 * x.x**2],
         output=lambda x, u, p, t: [2 * x.x],
     )
-    found = constants(james_baras(model, sample_time=0.01, Q0=0.1))
+    found = constants(riccati(model, sample_time=0.01, Q0=0.1))
     # A = 1 + 0.2 x <= 1.2, H = 2: q solves 2.4 q - 4 q^2 + 1 = 0.
     assert found["q"] <= (1.2 + math.sqrt(1.2**2 + 4)) / 4 * (1 + 1e-6)
     assert found["rho"] > 0

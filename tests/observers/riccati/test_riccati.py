@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from linear_models import entries, kalman, linear
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
-from observers.riccati import james_baras
+from observers.riccati import riccati
 from observers.riccati.observer import CODE
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant
@@ -24,7 +24,7 @@ def test_with_diagonal_tuning_and_either_step_it_is_the_sampled_kalman_filter(st
     rng = np.random.default_rng(n)
     A, C = rng.normal(size=(n, n)) - np.eye(n), rng.normal(size=(ny, n))
     N, R, Q0 = rng.uniform(0.5, 2, n), rng.uniform(0.5, 2, ny), rng.uniform(0.5, 2, n)
-    component = james_baras(linear(n, ny), sample_time=Ts, N=N, R=R, Q0=Q0, expose=["Q"], stiff=stiff)
+    component = riccati(linear(n, ny), sample_time=Ts, N=N, R=R, Q0=Q0, expose=["Q"], stiff=stiff)
     y, u, m0 = rng.normal(size=(60, ny)), rng.normal(size=60), rng.normal(size=n)
     run = Instance(component, {**entries(A, C), **{f"guess.x{i}": value for i, value in enumerate(m0)}})
     names = [f"estimate.x{i}" for i in range(n)] + [
@@ -41,7 +41,7 @@ def test_with_diagonal_tuning_and_either_step_it_is_the_sampled_kalman_filter(st
 
 def test_a_rejected_output_leaves_the_estimate_to_the_others_and_all_rejected_to_the_model():
     A, C = np.array([[-1.0, 0.5], [0.0, -0.3]]), np.eye(2)
-    component = james_baras(linear(2, 2), sample_time=0.1)
+    component = riccati(linear(2, 2), sample_time=0.1)
     one, none = (Instance(component, {**entries(A, C), "guess.x0": 1.0}) for _ in range(2))
     one.set("y0", math.nan)
     one.set("y1", 3.0)
@@ -67,7 +67,7 @@ def test_a_model_that_escapes_to_infinity_is_held_counted_and_starts_again():
         ode=lambda x, u, p, t: [x.x**3],
         output=lambda x, u, p, t: [x.x],
     )
-    run = Instance(james_baras(model, sample_time=0.1, stiff=False))
+    run = Instance(riccati(model, sample_time=0.1, stiff=False))
     run.set("y", 1e3)
     run.step(0.0, 0.1)
     assert run.get("diagnostics.status") == CODE.solver_failed
@@ -87,7 +87,7 @@ def test_a_stiff_drift_takes_the_exponential_step():
         ode=lambda x, u, p, t: [-1e4 * (x.x1 - ca.cos(x.x2)), -x.x2 + 0.1 * ca.sin(t)],
         output=lambda x, u, p, t: [x.x2],
     )
-    run, true = Instance(james_baras(model, sample_time=0.05, guess={"x2": 0.2})), np.array([1.0, 1.0])
+    run, true = Instance(riccati(model, sample_time=0.05, guess={"x2": 0.2})), np.array([1.0, 1.0])
     for k in range(100):
         run.set("y", true[1])
         run.step(0.05 * k, 0.05)
@@ -107,7 +107,7 @@ def test_an_unknown_parameter_is_estimated_as_a_state_that_does_not_move():
         ode=lambda x, u, p, t: [-p.theta * x.x + 1],
         output=lambda x, u, p, t: [x.x],
     )
-    run = Instance(james_baras(model, sample_time=0.01, N=[0.1, 0.5], R=0.01, guess={"theta": 0.2}))
+    run = Instance(riccati(model, sample_time=0.01, N=[0.1, 0.5], R=0.01, guess={"theta": 0.2}))
     true = Instance(plant(model))
     for k in range(2000):
         run.set("y", true.get("y"))
@@ -129,7 +129,7 @@ def test_an_unknown_parameter_is_estimated_as_a_state_that_does_not_move():
 )
 def test_an_impossible_design_is_refused_by_name(arguments, words):
     with pytest.raises(ValueError) as caught:
-        james_baras(JAMES_BARAS_5_2, sample_time=0.01, **arguments)
+        riccati(JAMES_BARAS_5_2, sample_time=0.01, **arguments)
     for word in words:
         assert word in str(caught.value)
 
@@ -144,9 +144,9 @@ def test_a_state_that_no_output_sees_is_refused_by_name_unless_it_decays(rate):
         output=lambda x, u, p, t: [x.seen],
     )
     if rate < 0:
-        run = Instance(james_baras(model, sample_time=0.1), {"guess.unseen": 1.0})
+        run = Instance(riccati(model, sample_time=0.1), {"guess.unseen": 1.0})
         run.step(0.0, 0.1)
         assert run.get("estimate.unseen") == pytest.approx(math.exp(-0.1))
     else:
         with pytest.raises(ModelError, match=r"blind.*unseen"):
-            james_baras(model, sample_time=0.1)
+            riccati(model, sample_time=0.1)

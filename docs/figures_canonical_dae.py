@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/nikoukhah.md from runs of the built systems: python docs/figures_nikoukhah.py"""
+"""Makes the pictures of docs/canonical_dae.md from runs of the built systems: python docs/figures_canonical_dae.py"""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from figures import BLUE, GREEN, GREY, ORANGE, save
 
 from cosim.master import run
 from cosim.results import Result
-from observers.canonical_dae import nikoukhah
+from observers.canonical_dae import canonical_dae
 from observers.canonical_dae.fault_detector import DETECTED
 from observers.component import Component
 from observers.instance import Instance
@@ -39,7 +39,7 @@ def motor(runs: dict[str, Result]) -> None:
     axes[2].set_xlabel("time [s]")
     axes[2].set_xlim(0, first.time[-1])
     figure.align_ylabels(axes)
-    save(figure, "nikoukhah_motor")
+    save(figure, "canonical_dae_motor")
 
 
 def faults(actuator: Result, sensor: Result) -> None:
@@ -64,7 +64,7 @@ def faults(actuator: Result, sensor: Result) -> None:
         axis.set_xlabel("time [s]")
         axis.legend(frameon=False, fontsize=8)
     axes[0].set_ylabel(r"$\lambda$")
-    save(figure, "nikoukhah_faults")
+    save(figure, "canonical_dae_faults")
 
 
 def response(degrees: tuple[int, ...], pole: float = -10.0, Ts: float = 0.01) -> None:
@@ -72,7 +72,7 @@ def response(degrees: tuple[int, ...], pole: float = -10.0, Ts: float = 0.01) ->
     figure, axis = plt.subplots(figsize=(8, 3))
     parts = np.geomspace(0.01, 0.1, 12)
     for degree, colour in zip(degrees, (BLUE, ORANGE, GREEN, GREY), strict=True):
-        observer = nikoukhah(DOUBLE_INTEGRATOR, sample_time=Ts, poles=(pole, pole), degree=degree)
+        observer = canonical_dae(DOUBLE_INTEGRATOR, sample_time=Ts, poles=(pole, pole), degree=degree)
         errors = []
         for part in parts:
             omega, s = 2 * np.pi * part / Ts, 2j * np.pi * part / Ts
@@ -82,7 +82,7 @@ def response(degrees: tuple[int, ...], pole: float = -10.0, Ts: float = 0.01) ->
     axis.set_xlabel("frequency over sampling frequency")
     axis.set_ylabel("error of the response")
     axis.legend(frameon=False, fontsize=8)
-    save(figure, "nikoukhah_response")
+    save(figure, "canonical_dae_response")
 
 
 def _response(observer: Component, omega: float, Ts: float) -> complex:
@@ -99,7 +99,7 @@ def _response(observer: Component, omega: float, Ts: float) -> complex:
 
 
 def _fault(name: str, value: float) -> Result:
-    onset = {f"plant.model.{name}_jump_time[1]": 4.0, f"plant.model.{name}_jump_value[1]": value}
+    onset = {f"plant.parameter.{name}_jump_time[1]": 4.0, f"plant.parameter.{name}_jump_value[1]": value}
     return run("systems/nikoukhah_motor.ssp", overrides=NOISE | onset)
 
 

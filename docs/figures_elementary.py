@@ -1,6 +1,6 @@
-"""Makes the pictures of calvillo_alamir.md (like the paper's Figures 4 to 10) and prints what they measure.
+"""Makes the pictures of elementary.md (like the paper's Figures 4 to 10) and prints what they measure.
 
-python docs/figures_calvillo_alamir.py
+python docs/figures_elementary.py
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def elementary_problems(found: Batch) -> None:
         axis.legend(frameon=False, fontsize=7, ncols=4, loc="lower left", bbox_to_anchor=(0, 1))
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    save(figure, "calvillo_alamir_problems")
+    save(figure, "elementary_problems")
 
 
 def processed(found: Batch) -> None:
@@ -119,7 +119,7 @@ def processed(found: Batch) -> None:
         axis.set_ylabel(f"$x_{row + 1}$")
     axes[0].legend(frameon=False, ncols=4, fontsize=7)
     axes[1].set_xlabel("time [s]")
-    save(figure, "calvillo_alamir_processed")
+    save(figure, "elementary_processed")
 
 
 def convergence(free: Batch, signed: Batch) -> None:
@@ -136,7 +136,7 @@ def convergence(free: Batch, signed: Batch) -> None:
     for axis in (left, right):
         axis.set_xlabel("iteration")
     figure.tight_layout()
-    save(figure, "calvillo_alamir_convergence")
+    save(figure, "elementary_convergence")
 
 
 def family(free: Batch, signed: Batch) -> None:
@@ -151,7 +151,7 @@ def family(free: Batch, signed: Batch) -> None:
     below.set_ylabel("v")
     below.set_xlabel("time [s]")
     below.legend(frameon=False)
-    save(figure, "calvillo_alamir_family")
+    save(figure, "elementary_family")
 
 
 def grid_orders(found: Batch) -> None:
