@@ -19,6 +19,17 @@
 #define RESOLUTION (4 * DBL_EPSILON) /* of a time: what two importers' sums for it may differ by */
 #define COARSE 0.01                  /* of a sample time: where RESOLUTION exceeds this, instants cannot be told apart */
 
+/* What the shell's files offer each other has the model's name in it; see component.h. */
+#define report PREFIX(report)
+#define allowed PREFIX(allowed)
+#define set_defaults PREFIX(set_defaults)
+#define refresh_start PREFIX(refresh_start)
+#define evaluate_outputs PREFIX(evaluate_outputs)
+#define refresh_outputs PREFIX(refresh_outputs)
+#define all_finite PREFIX(all_finite)
+#define has_failed PREFIX(has_failed)
+#define report_failure PREFIX(report_failure)
+
 typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEP_COMPLETE = 4, TERMINATED = 8 } Lifecycle;
 #define ANY_STATE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE | TERMINATED)
 
@@ -57,6 +68,8 @@ typedef struct {
     int *iw;
 } Instance;
 
+BEGIN_INTERNAL
+
 /* logging.c */
 #if defined __GNUC__
 __attribute__((format(printf, 4, 5)))
@@ -72,5 +85,7 @@ bool refresh_outputs(Instance *self);
 bool all_finite(const double *values, size_t n);
 bool has_failed(const double *z);
 void report_failure(Instance *self, const double *z, const char *occasion);
+
+END_INTERNAL
 
 #endif
