@@ -131,9 +131,6 @@ def build_all(
 
 
 if __name__ == "__main__":
-    # The words of the command line call the functions above, not the other way round: they are wanted here only.
-    import typer
-
-    from commands.build import build
-
-    typer.run(build)
+    # The command line calls the functions above. By name, for an import here would close a circle.
+    sys.argv[1:1] = ["build"]
+    runpy.run_module("commands", run_name="__main__")
