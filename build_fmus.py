@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from cosim.errors import suggest
 from cosim.system import Element, System, write_ssp
 from fmu_src import export
 from observers.component import Component
@@ -64,7 +65,8 @@ def choose(only: Sequence[str]) -> Build:
     """
     unknown = [name for name in only if name not in FMUS and name not in SYSTEMS]
     if unknown:
-        raise KeyError(f"'{unknown[0]}' is neither an FMU ({', '.join(FMUS)}) nor a system ({', '.join(SYSTEMS)})")
+        known = [*FMUS, *SYSTEMS]
+        raise KeyError(f"'{unknown[0]}' is neither an FMU nor a system of the catalogue; {suggest(unknown[0], known)}")
     systems = {name: recipe for name, recipe in SYSTEMS.items() if not only or name in only}
     needed = {fmu for recipe in systems.values() for fmu in recipe.fmus.values()}
     return Build({name: made for name, made in FMUS.items() if not only or name in only or name in needed}, systems)
