@@ -37,7 +37,7 @@ from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta, stable_step
 from observers.numerics.semilinear import Split, lift_inputs, split
-from observers.pseudospectral import arrival, bounded_noise, moving_horizon
+from observers.pseudospectral import arrival, bounded_noise, memory, moving_horizon, warm_start
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.ports import CODE, CONSTRAINT_VIOLATION, DIAGNOSTICS, QUALITY, REGULARITY_LIMIT, TUNING
 from observers.pseudospectral.window.collocation import segment
@@ -129,7 +129,7 @@ def pseudospectral(
         spline=cost == "spline",
         arrival=arrival_cost,
     )
-    state = moving_horizon.state(method)
+    state = memory.layout(method)
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", 2 * ny + nu)
     p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), settings.unpack(p)
@@ -146,7 +146,7 @@ def pseudospectral(
         "z": ca.if_else(sound, moved_z, q.guess_z),
         "theta": ca.if_else(sound, s.theta, q.guess_theta),
         "input_integral": s.input_integral + h * lift(known, q.model),
-        "fresh": ca.if_else(sound, s.fresh, moving_horizon.AT_GUESS),
+        "fresh": ca.if_else(sound, s.fresh, warm_start.AT_GUESS),
         "status": ca.if_else(sound, s.status, ca.if_else(lost, CODE.singular, CODE.solver_failed)),
         "failures": s.failures + ca.logic_not(sound),
     }
@@ -157,7 +157,7 @@ def pseudospectral(
         "x_filtered": q.guess_x,
         "z_filtered": q.guess_z,
         "theta_filtered": q.guess_theta,
-        "fresh": ca.DM(moving_horizon.AT_PREDICTION),
+        "fresh": ca.DM(warm_start.AT_PREDICTION),
         "status": ca.DM(CODE.propagated_guess),
         "model": q.model,
         **arrival.start(q, arrival_cost),
