@@ -115,7 +115,7 @@ def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) ->
 def advance(method: Method, now: Instant, window: Window, at: Trajectory) -> dict[str, Any]:
     """Mean and covariance for the next window; `at` is this window's trajectory."""
     s, q, problem = now.s, now.q, method.problem
-    ns, ny, nu = len(problem.scale), problem.ny, problem.nu
+    ny, nu = problem.ny, problem.nu
     x1, S1 = first_sample(problem)(*at, window.data, q.model, window.U)
     z_start = at.Z[: problem.rates.n_algebraic] if problem.n_algebraic else s.z
     first_input = window.at_points[:nu] if nu else ca.MX(0, 1)

@@ -1,4 +1,4 @@
-"""What the observer keeps from sample to sample, and what it starts with."""
+"""What the observer keeps from sample to sample, what it starts with, and what of it is shown."""
 
 from __future__ import annotations
 
@@ -69,3 +69,13 @@ def start(method: Method) -> ca.Function:
         **arrival.start(q, method.arrival),
     }
     return ca.Function("start", [p, t], [state.pack(first)])
+
+
+def output(method: Method) -> ca.Function:
+    """output(z, u, p, t) -> y: what of the state is shown, in the order of the component's outputs."""
+    state, model = layout(method), method.model
+    z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", 2 * len(model.outputs) + len(model.inputs))
+    p, t, s = ca.SX.sym("p", method.settings.total), ca.SX.sym("t"), state.unpack(z)
+    shown = [s.x, s.z, s.theta, s.x_filtered, s.z_filtered, s.theta_filtered, s.status, s.cost, s.iterations]
+    shown += [s.innovation, s.conditioning, s.deviation, s.node0_residual, s.slack, s.bounds, s.rejected, s.failures]
+    return ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)])

@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers.numerics import algebraic
 from observers.numerics.finite import HUGE
 from observers.pseudospectral import arrival, bounded_noise
 from observers.pseudospectral.method import Method
@@ -86,7 +85,7 @@ def _spline(method: Method, now: Instant, window: Window, start: Start) -> tuple
     segment = problem.segment
     matrix = spline_matrix(L, segment.node_times / segment.sample_time)
     V, Z, unknown = start.trajectory
-    outputs = trajectory.outputs_at_samples(problem, algebraic.measurement(method.equations))
+    outputs = trajectory.outputs_at_samples(problem, method.measure)
     along = outputs(V, Z, unknown[: problem.nx], s.theta, now.q.model, window.U, window.start)
     y = ca.MX(ca.DM(np.kron(matrix, np.eye(ny)))) @ ca.if_else(window.W, window.Y, along)
     point_weight = ca.MX(ca.DM(np.repeat(lgl.weights(segment.order) * segment.length / 2, ny)))

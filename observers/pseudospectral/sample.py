@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers.numerics import algebraic
 from observers.numerics.finite import HUGE
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.window.problem import known_terms
@@ -72,7 +71,7 @@ def collect(method: Method, now: Instant) -> Window:
     Y, W = (insert_sample(problem.ny, L + 1)(column, new, s.k) for column, new in ((s.y, y), (s.weight, valid)))
     start = now.t - place * problem.segment.sample_time
     U, seen, at_points = _inputs(method, now)
-    expected = algebraic.measurement(method.equations)(s.x, now.known, now.q.model, s.theta, now.t, s.z)[0]
+    expected = method.measure(s.x, now.known, now.q.model, s.theta, now.t, s.z)[0]
     return Window(
         finite=finite,
         valid=valid,

@@ -35,7 +35,14 @@ def quality(
     ny, Ts = problem.ny, problem.segment.sample_time
     V, Z, _ = solution.trajectory
     node0, regularity = trajectory.node0(problem)(
-        V, Z, estimate.x0, estimate.theta, q.model, window.start, window.U, *([window.active] if problem.count > 1 else [])
+        V,
+        Z,
+        estimate.x0,
+        estimate.theta,
+        q.model,
+        window.start,
+        window.U,
+        *([window.active] if problem.count > 1 else []),
     )
     changed = _changed(method, now)
     deviation = _deviation(method, now, window, solution)
