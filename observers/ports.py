@@ -1,16 +1,21 @@
 """The ports that every observer of a model has: the names of design and documentation, made in one place.
 
-Inputs are the model's outputs, then its known inputs. `estimate.*` is of the current time, `filtered.*` of the last sample instant.
+Inputs are the model's outputs, its known inputs, then a flag for each output that says whether its sample has arrived. `estimate.*` is of
+the current time, `filtered.*` of the last sample instant.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
 
 from observers.component import SHORTEST_SAMPLE_TIME, Enumeration, Port
 from observers.model import Model, ModelError, Variable
+from observers.numerics.finite import HUGE
 
 PROCESS_NOISE = "process noise intensity per sqrt(s) of"
 MEASUREMENT_NOISE = "standard deviation of a sample of"
@@ -18,6 +23,12 @@ INITIAL_STD = "standard deviation of the guess of"
 COUNTERS = (
     Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
     Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
+)
+
+# A paragraph of an FMU's documentation.
+VALIDITY_HTML = (
+    "<p>Where a sample has not arrived, set its <code>measurement_valid.*</code> to false for that step: it then takes no part in the "
+    "correction and does not count as rejected.</p>"
 )
 
 
@@ -69,6 +80,37 @@ def validity(model: Model) -> tuple[Port, ...]:
         )
         for v in model.outputs
     )
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The parts of the input vector u: `y` (ny), measured, `known` (nu), and `offered` (ny), 1 where `measurement_valid` is true."""
+
+    y: Any
+    known: Any
+    offered: Any
+
+
+def n_inputs(model: Model) -> int:
+    """The length of the input vector: `inputs`, then `validity`."""
+    return 2 * len(model.outputs) + len(model.inputs)
+
+
+def read(model: Model, u: Any) -> Inputs:
+    """The parts of u, a CasADi column with `n_inputs` entries."""
+    ny, nu = len(model.outputs), len(model.inputs)
+    known = u[ny : ny + nu] if nu else type(u)(0, 1)  # an empty slice would be 1 x 0
+    return Inputs(u[:ny], known, u[ny + nu :] > 0.5)
+
+
+def judged(values: Any, offered: Any) -> tuple[Any, Any]:
+    """(valid, rejected): which measurements act (ny), and whether one that was offered is not finite.
+
+    `values` (ny): the measurements, or what a method makes of them before they act.
+    """
+    finite = ca.fabs(values) <= HUGE  # false for NaN
+    valid = ca.logic_and(finite, offered)
+    return valid, ca.sum1(ca.logic_and(offered, ca.logic_not(finite))) > 0
 
 
 def guesses(model: Model, guess: Mapping[str, float]) -> tuple[Port, ...]:

@@ -99,17 +99,16 @@ def canonical_dae(
     _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
     chosen = choose(model, dae, checked, gain, poles, alpha, X)
 
-    nu = len(model.inputs)
     known = ports.known_parameters(model)
     # Without a relaxation there is no residual to watch.
     detector = fault_detector.TUNING if dae.n_lambda else ()
     tuning = (*chosen.tuning, *detector)
     settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=len(detector))
     jump, state = _jump(model, dae, chosen, settings, form, order, degree)
-    z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", dae.n_outputs + nu)
+    z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model))
     p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), settings.unpack(p)
-    inputs = u[dae.n_outputs :] if nu else ca.SX(0, 1)
+    inputs = ports.read(model, u).known
 
     rhs = ca.Function("rhs", dae.arguments, [dae.f])
     forced = ca.mtimes(ca.DM(dae.E), s.d) if dae.n_disturbances else 0
@@ -131,7 +130,7 @@ def canonical_dae(
         ),
         jump=jump,
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)]),
-        inputs=ports.inputs(model),
+        inputs=(*ports.inputs(model), *ports.validity(model)),
         parameters=(*ports.guesses(model, guess or {}), *known, period, *tuning),
         outputs=(
             *ports.estimates(model),
@@ -210,16 +209,19 @@ def _jump(
         rejected=1,
         failures=1,
     )
-    z, u, p, t = (ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",)))
+    z, u, p, t = (
+        ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",))
+    )
     s, q = state.unpack(z), settings.unpack(p)
-    known = u[ny:] if nu else ca.MX(0, 1)
+    read = ports.read(model, u)
+    known = read.known
     Ts = q.sample_time
 
-    # A rejected measurement is replaced by its prediction.
-    valid = ca.fabs(u[:ny]) <= HUGE  # false for NaN
+    # A measurement that is missing or not finite is replaced by its prediction.
+    valid, rejected = ports.judged(read.y, read.offered)
     outputs = ca.Function("outputs", dae.arguments, [ca.densify(dae.h), ca.densify(dae.r)])
     predicted, added = outputs(s.x, known, q.model, t)
-    y = ca.if_else(valid, u[:ny] - added, predicted)
+    y = ca.if_else(valid, read.y - added, predicted)
     any_valid, all_valid = ca.sum1(valid) > 0, ca.sum1(valid) == ny
 
     u_end = s.input_integral / Ts if held else known
@@ -286,7 +288,7 @@ def _jump(
             "above": above,
             "below": below,
             "singular": s.singular + singular,
-            "rejected": s.rejected + ca.logic_not(all_valid),
+            "rejected": s.rejected + rejected,
             "failures": s.failures + failed,
         }
     )

@@ -16,7 +16,7 @@ _STATUS = Enumeration(
         ("initial_guess", "no sample yet: the estimate is the propagated guess"),
         ("estimating", "the estimate satisfies the last measurement"),
         ("singular_gain", "the linearisation is not observable here: the gain is not what was asked for"),
-        ("sample_rejected", "a measurement was not finite: its prediction stands in for it"),
+        ("sample_rejected", "a measurement was missing or not finite: its prediction stands in for it"),
         (
             "solver_failed",
             "the DAE's step did not converge: the estimate is the prediction, lambda starts again from zero",
@@ -69,4 +69,5 @@ def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) 
         "<p>The outputs of <code>filtered.*</code> satisfy the last measurement exactly; <code>estimate.*</code> follows the model "
         "from there to the current time. <code>diagnostics.lambda</code> is a residual, <code>diagnostics.fault</code> a threshold "
         "with persistence on it. <code>diagnostics.status</code> says whether the estimate can be trusted.</p>"
+        f"{ports.VALIDITY_HTML}"
     )

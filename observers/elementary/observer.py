@@ -136,10 +136,14 @@ def elementary(
         sample_time=1,
     )
     z, u, p, t, h = (
-        ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",), ("h",))
+        ca.MX.sym(*shape)
+        for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
     )
     s, c = state.unpack(z), settings.unpack(p)
-    inner = SimpleNamespace(z=z, y=u[:ny], u=u[ny:] if nu else ca.MX(0, 1), p=p, t=t, s=s, c=c, state=state, held=held)
+    read = ports.read(model, u)
+    inner = SimpleNamespace(
+        z=z, y=read.y, u=read.known, offered=read.offered, p=p, t=t, s=s, c=c, state=state, held=held
+    )
     w_now = s.W[s.W.numel() - k :] if k else ca.MX(0, 1)
 
     def moved(of: Model) -> Any:
@@ -170,7 +174,7 @@ def elementary(
     measured = [s.x, w_now, s.x_filtered, w_now, s.status, s.cost, s.iterations, s.change, s.contraction, s.visibility]
     measured += [s.null, s.innovation, s.rejected, s.failures]
     iterate = iterations(model, problems, N, K, nodes)
-    interval = Port("sample_time", "sample time s", "s", sample_time, min=1e-6, variability="fixed")
+    interval = ports.sample_time(METHOD, sample_time)
     null = describe_null(model, N, sample_time)
     return Component(
         name=name or f"{model.name}_elementary",
@@ -179,7 +183,7 @@ def elementary(
         flow=ca.Function("flow", [z, u, p, t, h], [flowed]),
         jump=ca.Function("jump", [z, u, p, t], [_jump(inner, model, N, iterate, first_guess is not None)]),
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*measured)]),
-        inputs=ports.inputs(model),
+        inputs=(*ports.inputs(model), *ports.validity(model)),
         parameters=(*guessed, *ports.known_parameters(model), *weighed, *elementary_ports.LIMITS, interval),
         outputs=(
             *elementary_ports.estimates(model),
@@ -216,7 +220,7 @@ def _jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits:
     s, c, eq = v.s, v.c, model.equations
     n, k, ny, nu = len(model.states), len(model.unknown_disturbances), len(model.outputs), len(model.inputs)
     measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.t], [ca.densify(eq.output)])
-    valid = ca.fabs(v.y) <= HUGE  # false for NaN
+    valid, rejected = ports.judged(v.y, v.offered)
     y = ca.if_else(valid, v.y, 0)
     innovation = ca.if_else(valid, v.y - measure(s.x, v.u, c.model, v.t), 0)
 
@@ -292,7 +296,7 @@ def _jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits:
             "change": ca.if_else(finite, change, 0),
             "contraction": ca.if_else(finite, contraction, 0),
             "visibility": visibility,
-            "rejected": s.rejected + (ca.sum1(valid) < ny),
+            "rejected": s.rejected + rejected,
             "failures": s.failures + failed,
         }
     )
@@ -313,4 +317,5 @@ def _documentation(model: Model, N: int, problems: list[str], null: str) -> str:
         f"inputs, and step with at most the sample time.</p><ul>{listed}</ul>{open_}"
         "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
         "<code>filtered.*</code> of the last sample instant. A disturbance is the mean over the last sample interval.</p>"
+        f"{ports.VALIDITY_HTML}"
     )

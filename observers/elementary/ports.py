@@ -22,7 +22,7 @@ STATUS = Enumeration(
         ("iterating", "the iterations of this sample did not get below tuning.epsilon; the next ones go on from here"),
         (
             "sample_rejected",
-            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
         ("parameter_changed", "a model parameter was changed within the window: its older samples obey the old value"),
         ("undetermined", "the window does not determine the direction diagnostics.null.*"),

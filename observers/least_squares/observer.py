@@ -48,7 +48,7 @@ STATUS = Enumeration(
         ("corrected", "the last sample corrected the estimate"),
         (
             "sample_rejected",
-            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
         ("solver_failed", "a step was not finite: the estimate was held, a new interval begins"),
     ),
@@ -114,17 +114,19 @@ def least_squares(
     if not sample_time <= T < HUGE:
         raise ValueError(f"least_squares: T = {T:g} s must be finite and at least the sample time, {sample_time:g} s")
 
-    n, ny, nu = len(line.variables), len(model.outputs), len(model.inputs)
+    n, ny = len(line.variables), len(model.outputs)
     state = Layout(
         x=n, Phi=n * n, Y=n * n, x_filtered=n, samples=1, innovation=ny, status=1, contraction=1, certified=1, intervals=1,
         rejected=1, failures=1,
     )  # fmt: skip
     settings = Layout(guess=n, model=len(model.parameters), T=1, gamma=1, p0=1, sample_time=1)
     z, u, p, t, h = (
-        ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",), ("h",))
+        ca.MX.sym(*shape)
+        for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
     )
     s, q = state.unpack(z), settings.unpack(p)
-    inner = SimpleNamespace(z=z, y=u[:ny], u=u[ny:] if nu else ca.MX(0, 1), p=p, t=t, h=h, s=s, q=q, state=state)
+    read = ports.read(model, u)
+    inner = SimpleNamespace(z=z, y=read.y, u=read.known, offered=read.offered, p=p, t=t, h=h, s=s, q=q, state=state)
     one = ca.vec(ca.DM.eye(n).full())
     start = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {
         "x": q.guess,
@@ -157,7 +159,7 @@ def least_squares(
         flow=ca.Function("flow", [z, u, p, t, h], [_flow(inner, line)]),
         jump=ca.Function("jump", [z, u, p, t], [_jump(inner, line)]),
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*measured)]),
-        inputs=ports.inputs(model),
+        inputs=(*ports.inputs(model), *ports.validity(model)),
         parameters=(*ports.guesses(model, guess or {}), *ports.known_parameters(model), *tuned),
         outputs=(*ports.estimates(model), STATUS_PORT, *ports.innovations(model), *CONTRACTION, *ports.COUNTERS),
         sample_time="sample_time",
@@ -221,7 +223,7 @@ def _jump(v: SimpleNamespace, line: Linearisation) -> Any:
     one = ca.DM.eye(n).full().ravel()
     ended = s.samples >= ca.fmax(ca.floor(q.T / q.sample_time + 0.5), 1)
     residual = v.y - line.measure(s.x, v.u, q.model, v.t)
-    valid = ca.fabs(residual) <= HUGE  # false for NaN
+    valid, rejected = ports.judged(residual, v.offered)
     innovation = ca.if_else(valid, residual, 0)
 
     sample = _sample(line, ny)
@@ -230,7 +232,7 @@ def _jump(v: SimpleNamespace, line: Linearisation) -> Any:
     x, Y = sample(s.x, s.Phi, s.Y, *given, ca.if_else(at_end, 0.5, 1))
     x, Phi, Y, factors = _reset(line, sample)(ended, x, s.Phi, Y, *given, q.p0, ca.vertcat(s.contraction, s.certified))
     finite = ca.sumsqr(ca.vertcat(x, Y, factors)) < HUGE
-    rejected = ca.sum1(valid) < ny
+    incomplete = ca.sum1(valid) < ny
     x = ca.if_else(finite, x, s.x)
     return v.state.replace(
         v.z,
@@ -240,7 +242,7 @@ def _jump(v: SimpleNamespace, line: Linearisation) -> Any:
         x_filtered=x,
         samples=ca.if_else(finite, ca.if_else(ended, 0, s.samples) + 1, 0),
         innovation=innovation,
-        status=ca.if_else(rejected, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed)),
+        status=ca.if_else(incomplete, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed)),
         contraction=ca.if_else(finite, factors[0], s.contraction),
         certified=ca.if_else(finite, factors[1], s.certified),
         intervals=s.intervals + ended,
@@ -293,5 +295,5 @@ def _documentation(model: Model, linearise: bool) -> str:
         "<p><code>diagnostics.contraction</code> is the factor by which the error of the last interval can have grown or shrunk at most, "
         "<code>diagnostics.certified_contraction</code> the theorem's bound of it.</p>"
         "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
-        "<code>filtered.*</code> of the last sample instant.</p>"
+        f"<code>filtered.*</code> of the last sample instant.</p>{ports.VALIDITY_HTML}"
     )

@@ -40,7 +40,7 @@ CERTIFICATE = Enumeration(
     (
         (
             "none",
-            "there are no finite bounds, or a changed parameter, a rejected sample or an excursion made them void",
+            "there are no finite bounds, or a changed parameter, a sample that is missing or rejected, or an excursion made them void",
         ),
         ("outside", "the guess may lie outside rho: no promise"),
         ("inside", "the guess lies inside rho: the error decays at least with guaranteed_rate"),

@@ -46,7 +46,7 @@ STATUS = Enumeration(
         ("corrected", "the last sample corrected the estimate"),
         (
             "sample_rejected",
-            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
         ("solver_failed", "a step was not finite: the estimate was held, Q starts again from Q0"),
     ),
@@ -102,7 +102,7 @@ def riccati(
     if stiff is None:
         stiff = min(sample_time, max_step) * (known.A if np.isfinite(known.A) else _norm_at_start(model, line)) > STIFF
 
-    n, ny, nu = len(line.variables), len(model.outputs), len(model.inputs)
+    n, ny = len(line.variables), len(model.outputs)
     state = Layout(
         m=n, Q=n * n, m_filtered=n, guess_error=1, innovation=ny, status=1, certified=1, rate=1, rejected=1, failures=1
     )
@@ -116,12 +116,15 @@ def riccati(
         sample_time=1,
     )
     z, u, p, t, h = (
-        ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",), ("h",))
+        ca.MX.sym(*shape)
+        for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
     )
     s, q = state.unpack(z), settings.unpack(p)
-    known_u = u[ny:] if nu else ca.MX(0, 1)
+    read = ports.read(model, u)
     matrices = {key: getattr(design, key).expression(getattr(q, key)) for key in ("N", "R", "Q0")}
-    inner = SimpleNamespace(z=z, y=u[:ny], u=known_u, p=p, t=t, h=h, s=s, q=q, state=state, **matrices)
+    inner = SimpleNamespace(
+        z=z, y=read.y, u=read.known, offered=read.offered, p=p, t=t, h=h, s=s, q=q, state=state, **matrices
+    )
 
     start = {
         "m": q.guess,
@@ -157,7 +160,7 @@ def riccati(
         flow=ca.Function("flow", [z, u, p, t, h], [_flow(inner, line, stiff)]),
         jump=ca.Function("jump", [z, u, p, t], [_jump(inner, line, design, known, model)]),
         output=ca.Function("output", [z, u, p, t], [ca.vertcat(*measured)]),
-        inputs=ports.inputs(model),
+        inputs=(*ports.inputs(model), *ports.validity(model)),
         parameters=(
             *ports.guesses(model, guess or {}),
             *ports.known_parameters(model),
@@ -232,7 +235,7 @@ def _jump(v: SimpleNamespace, line: Linearisation, design: SimpleNamespace, know
     n, ny = len(line.variables), len(model.outputs)
     at = (s.m, v.u, q.model, v.t)
     residual = v.y - line.measure(*at)
-    valid = ca.fabs(residual) <= HUGE  # false for NaN
+    valid, rejected = ports.judged(residual, v.offered)
     innovation = ca.if_else(valid, residual, 0)
     Q = ca.reshape(s.Q, n, n)
     m, Q_after = correction(n, ny)(s.m, Q, line.gradient(*at), innovation, v.R @ v.R.T / q.sample_time, valid)
@@ -245,10 +248,10 @@ def _jump(v: SimpleNamespace, line: Linearisation, design: SimpleNamespace, know
         *(p.start for key in ("N", "R", "Q0") for p in getattr(design, key).ports),
     ]
     holds = ca.logic_and(ca.sumsqr(values - ca.DM(wanted)) == 0, known.inside(ca.if_else(finite, m, s.m), v.u))
-    rejected = ca.sum1(valid) < ny
-    holds = ca.logic_and(ca.logic_and(holds, ca.logic_not(rejected)), s.certified > NONE)
+    incomplete = ca.sum1(valid) < ny
+    holds = ca.logic_and(ca.logic_and(holds, ca.logic_not(incomplete)), s.certified > NONE)
     certified, rate = certify(known, s.guess_error, holds)
-    status = ca.if_else(rejected, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed))
+    status = ca.if_else(incomplete, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed))
     m = ca.if_else(finite, m, s.m)
     return v.state.replace(
         v.z,
@@ -273,4 +276,5 @@ def _documentation(model: Model, known: Certificate, stiff: bool) -> str:
         f"{known.html()}"
         "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
         "<code>filtered.*</code> of the last sample instant.</p>"
+        f"{ports.VALIDITY_HTML}"
     )

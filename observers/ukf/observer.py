@@ -96,21 +96,21 @@ def ukf(
         variability="tunable",
     )
 
-    n, ny, nu, nx = len(estimated), len(model.outputs), len(model.inputs), len(model.states)
+    n, ny, nx = len(estimated), len(model.outputs), len(model.states)
     points = 2 * n + 1
     state = Layout(points=n * points, filtered=n, innovation=ny, status=1, rejected=1, failures=1)
     settings = Layout(guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, sample_time=1)
-    z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", 2 * ny + nu), ca.SX.sym("p", settings.total)
+    z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model)), ca.SX.sym("p", settings.total)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
     s, q = state.unpack(z), settings.unpack(p)
-    known = u[ny : ny + nu] if nu else ca.SX(0, 1)
+    read = ports.read(model, u)
     augmented = ca.Function("rhs", [eq.x, eq.theta, eq.u, eq.p, eq.t], [ca.vertcat(eq.ode, ca.SX.zeros(n - nx))])
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
     parts = Layout(x=nx, theta=n - nx)
 
     def at(function: ca.Function, x: Any, time: Any) -> Any:
         part = parts.unpack(x)
-        return function(part.x, part.theta, known, q.model, time)
+        return function(part.x, part.theta, read.known, q.model, time)
 
     weights = ca.vertcat(q.kappa / (n + q.kappa), ca.repmat(1 / (2 * (n + q.kappa)), 2 * n, 1))
     fresh = _points(q.guess, ca.diag(q.spread), q.kappa)
@@ -130,9 +130,8 @@ def ukf(
     drawn = _points(mean, root, q.kappa)
     seen = ca.horzcat(*[at(measure, drawn[:, i], t) for i in range(points)])
     expected = ca.mtimes(seen, weights)
-    finite_sample, offered = ca.fabs(u[:ny]) <= HUGE, u[ny + nu :] > 0.5  # false for NaN
-    valid = ca.logic_and(finite_sample, offered)
-    innovation = ca.if_else(valid, u[:ny] - expected, 0)
+    valid, rejected = ports.judged(read.y, read.offered)
+    innovation = ca.if_else(valid, read.y - expected, 0)
     dx, dy = drawn - ca.repmat(mean, 1, points), ca.diag(ca.SX(valid)) @ (seen - ca.repmat(expected, 1, points))
     rooted = ca.diag(ca.sqrt(weights))
     noise_root = ca.diag(ca.if_else(valid, q.sensor, 1))
@@ -156,7 +155,7 @@ def ukf(
                 CODE.solver_failed,
                 ca.if_else(ca.sum1(valid) < ny, CODE.sample_rejected, CODE.corrected),
             ),
-            "rejected": s.rejected + (ca.sum1(ca.logic_and(offered, ca.logic_not(finite_sample))) > 0),
+            "rejected": s.rejected + rejected,
             "failures": s.failures + ca.logic_not(finite),
         }
     )
