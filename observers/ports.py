@@ -13,13 +13,23 @@ from typing import Any
 
 import casadi as ca
 
+from observers import units
 from observers.component import SHORTEST_SAMPLE_TIME, Enumeration, Port
 from observers.model import Model, ModelError, Variable
 from observers.numerics.finite import HUGE
 
-PROCESS_NOISE = "process noise intensity per sqrt(s) of"
-MEASUREMENT_NOISE = "standard deviation of a sample of"
-INITIAL_STD = "standard deviation of the guess of"
+
+@dataclass(frozen=True)
+class Deviation:
+    """What a standard deviation of the tuning is: `text`; `per_root_second`: in the variable's unit per sqrt(s), an intensity."""
+
+    text: str
+    per_root_second: bool = False
+
+
+PROCESS_NOISE = Deviation("process noise intensity of", per_root_second=True)
+MEASUREMENT_NOISE = Deviation("standard deviation of a sample of")
+INITIAL_STD = Deviation("standard deviation of the guess of")
 COUNTERS = (
     Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
     Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
@@ -150,7 +160,7 @@ def innovations(model: Model) -> tuple[Port, ...]:
         Port(
             f"diagnostics.innovation[{i}]" if several else "diagnostics.innovation",
             f"measured minus predicted {v.description or v.name}",
-            v.unit,
+            units.difference(v.unit),
             nominal=v.nominal,
             variability="discrete",
         )
@@ -165,7 +175,7 @@ def _estimated(model: Model) -> tuple[Variable, ...]:
 def deviations(
     owner: str,
     group: str,
-    text: str,
+    what: Deviation,
     variables: Sequence[Variable],
     values: Mapping[str, float] | None,
     part: float,
@@ -174,19 +184,22 @@ def deviations(
 ) -> tuple[Port, ...]:
     """`tuning.<group>.<variable>`, standard deviations or intensities; by default `part` of the nominal values.
 
+    A standard deviation has its variable's unit. An intensity, in that unit per sqrt(s), has none that FMI could say: the description does.
+
     Raises:
         ModelError: a name in `values` that is none of the `variables`.
     """
     given = dict(values or {})
     made = []
     for v in variables:
-        start, what = given.pop(v.name, part * v.nominal), v.description or v.name
+        unit = units.difference(v.unit)
+        words = f", in {unit} per sqrt(s)" if what.per_root_second else ""
         made.append(
             Port(
                 f"tuning.{group}.{v.name}",
-                f"{text} {what}",
-                "1",
-                start,
+                f"{what.text} {v.description or v.name}{words}",
+                units.NONE if what.per_root_second else unit,
+                given.pop(v.name, part * v.nominal),
                 min=smallest * v.nominal,
                 variability=variability,
             )

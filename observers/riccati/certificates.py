@@ -28,10 +28,10 @@ from observers.component import Enumeration, Port
 from observers.linearisation import Linearisation
 from observers.model import Model
 from observers.numerics.exact import in_high_precision, matrix, rounded, table
+from observers.riccati.design import UNKNOWN
 from observers.riccati.detectability import by_comparison, by_full_rank, by_injection
 from observers.riccati.interval import Range
 from observers.riccati.suprema import cells, downward, largest, norm, point, second, supremum, upward
-from observers.riccati.tuning import UNKNOWN
 
 LIFT = 1 + 1e-14  # covers the rounding of a few operations on scalars
 

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from observers.instance import Instance
 from observers.least_squares import least_squares
-from observers.least_squares.observer import CODE
+from observers.least_squares.steps import CODE
 from observers.model import Model, ModelError, Variable
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.duffing import DUFFING

@@ -12,7 +12,7 @@ from linear_models import entries, kalman, linear
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.riccati import riccati
-from observers.riccati.observer import CODE
+from observers.riccati.steps import CODE
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant
 
