@@ -1,6 +1,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+LOCKED := .cache/lock
 
 DEMO := gong_example_1 gong_example_1_spline gong_example_2 gong_example_3a gong_example_3b gong_example_6
 
@@ -11,7 +12,7 @@ EXTRAS := test$(if $(CI),$(COMMA)masters)
 READY := $(VENV)/ready$(if $(CI),-ci)
 AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
-.PHONY: demo test bench setup ci-tools clean
+.PHONY: demo test bench setup ci-tools lock clean
 
 demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3 and 6, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
@@ -33,15 +34,23 @@ bench: setup ## print timings, side by side with what one would use instead
 
 setup: $(READY)
 
-$(READY): pyproject.toml
+$(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --disable-pip-version-check -e ".[$(EXTRAS)]"
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
 ci-tools: ## Debian packages: wine runs the Windows binaries, Ecos needs libtbb12
 	test -x /usr/lib/wine/wine64 -a -n "$$(/sbin/ldconfig -p | grep -F libtbb.so.12)" || { \
 	    $(AS_ROOT) apt-get update && \
 	    $(AS_ROOT) apt-get install --yes --no-install-recommends wine64 wine libtbb12; }
+
+lock: ## renew constraints.txt: the newest versions that pyproject.toml allows
+	rm -rf $(LOCKED)
+	$(PYTHON) -m venv $(LOCKED)
+	$(LOCKED)/bin/python -m pip install --disable-pip-version-check -e ".[test,masters]"
+	{ echo "# The exact versions that make and CI install, by \`make lock\`: the same lock, the same bytes (docs/fmu.md)."; \
+	    $(LOCKED)/bin/python -m pip freeze --disable-pip-version-check --exclude observer-fmus; } > $(LOCKED)/constraints.txt
+	mv $(LOCKED)/constraints.txt constraints.txt
 
 clean:
 	rm -rf $(VENV) .cache fmus systems results build

@@ -121,8 +121,6 @@ def build_all(
         progress(name, len(written), total)
         written.append(export(make(), out, platforms, driven_by() if driven_by else None, target))
     directory = out.resolve().parent / "systems"
-    if work.systems:
-        directory.mkdir(parents=True, exist_ok=True)
     for name, recipe in work.systems.items():
         progress(name, len(written), total)
         path = directory / f"{name}.ssp"
