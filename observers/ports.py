@@ -2,6 +2,19 @@
 
 Inputs are the model's outputs, its known inputs, then a flag for each output that says whether its sample has arrived. `estimate.*` is of
 the current time, `filtered.*` of the last sample instant.
+
+What all observers are given by the same names, start values of parameters of their FMU unless said otherwise:
+
+    model               the equations, a Model
+    sample_time         Ts [s]: the fixed parameter `sample_time`; structural (a constant) where the algebra holds it
+    process_noise       by state or unknown parameter: how far it may wander from the model, in its unit per sqrt(s);
+                        `tuning.process_noise.*`, 1e-3 of the nominal value where one is not named
+    measurement_noise   by output: standard deviation of a sample; `tuning.measurement_noise.*`, 0.1 of the nominal value
+    initial_std         by state or unknown parameter: standard deviation of the guess; `tuning.initial_std.*`, the nominal value
+    guess               by state or unknown parameter: `guess.*`, the model's start value
+    name                of the component, hence of the FMU's file; `<model>_<observer>`
+    max_step            the longest step of the prediction between samples [s]; not a parameter
+    stop_time           of the default experiment [s]
 """
 
 from __future__ import annotations

@@ -55,6 +55,28 @@ def disturbances(model: Model) -> tuple[Port, ...]:
     return tuple(made)
 
 
+def structure(form: str, order: int, degree: int) -> tuple[Port, ...]:
+    """`structure.order` and `structure.degree`, of which one is 0."""
+    return (
+        Port(
+            "structure.order",
+            "order of the backward differentiation; 0: w-form",
+            start=order if form == "bdf" else 0,
+            kind="Integer",
+            variability="constant",
+            local=True,
+        ),
+        Port(
+            "structure.degree",
+            "degree of the polynomial through past measurements; 0: backward differentiation, which needs none",
+            start=0 if form == "bdf" else degree,
+            kind="Integer",
+            variability="constant",
+            local=True,
+        ),
+    )
+
+
 def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) -> str:
     """The method in short, as HTML."""
     how = (
