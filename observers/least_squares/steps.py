@@ -28,7 +28,10 @@ STATUS = Enumeration(
             "sample_rejected",
             "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
-        ("solver_failed", "a step was not finite: the estimate was held, a new interval begins"),
+        (
+            "solver_failed",
+            "a step was not finite: the estimate is the prediction without the last sample, a new interval begins",
+        ),
     ),
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
@@ -68,8 +71,8 @@ class Parts:
 def parts(model: Model, line: Linearisation, weights: Weights) -> Parts:
     n, ny = len(line.variables), len(model.outputs)
     state = Layout(
-        x=n, Phi=n * n, Y=n * n, x_filtered=n, samples=1, innovation=ny, status=1, contraction=1, certified=1, intervals=1,
-        rejected=1, failures=1,
+        x=n, Phi=n * n, Y=n * n, x_filtered=n, before=n, undoable=1, samples=1, innovation=ny, status=1, contraction=1, certified=1,
+        intervals=1, rejected=1, failures=1,
     )  # fmt: skip
     tuned = {"samples": len(weights.samples), "prior": len(weights.prior)}
     settings = Layout(guess=n, model=len(model.parameters), T=1, **tuned, sample_time=1)
@@ -82,18 +85,25 @@ def parts(model: Model, line: Linearisation, weights: Weights) -> Parts:
 
 def start(v: Parts) -> ca.Function:
     """start(p, t0) -> z: the guess, at the start of an interval."""
-    first = {part: ca.DM.zeros(size) for part, size in v.state.sizes.items()} | {
-        "x": v.q.guess,
-        "Phi": v.one,
-        "Y": v.reset,
-        "x_filtered": v.q.guess,
-        "status": ca.DM(CODE.propagated_guess),
-    }
+    first = (
+        {part: ca.DM.zeros(size) for part, size in v.state.sizes.items()}
+        | {
+            "x": v.q.guess,
+            "Phi": v.one,
+            "Y": v.reset,
+            "x_filtered": v.q.guess,
+            "before": v.q.guess,  # the prediction at the last sample, before it acted; `undoable`, whether to go back to it is worth a try
+            "status": ca.DM(CODE.propagated_guess),
+        }
+    )
     return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
 
 
 def flow(v: Parts) -> ca.Function:
-    """flow(z, u, p, t, h) -> z: (8) without correction, and (11), over h."""
+    """flow(z, u, p, t, h) -> z: (8) without correction, and (11), over h.
+
+    Where x escapes, the last sample is undone; a prediction that escapes by itself starts again from the guess.
+    """
     s, n, line = v.s, v.n, v.line
     rate = ca.Function(
         "moving",
@@ -106,10 +116,13 @@ def flow(v: Parts) -> ca.Function:
         ],
     )
     moved = runge_kutta(lambda x, time: rate(x, v.read.known, v.q.model, time), ca.vertcat(s.x, s.Phi), v.t, v.h)
-    finite = ca.sumsqr(moved) < HUGE
+    whole, finite = ca.sumsqr(moved[:n]) < HUGE, ca.sumsqr(moved) < HUGE
+    back = ca.if_else(s.undoable, s.before, v.q.guess)
     after = v.state.replace(
         v.z,
-        x=ca.if_else(finite, moved[:n], s.x),
+        x=ca.if_else(whole, moved[:n], back),
+        x_filtered=ca.if_else(whole, s.x_filtered, back),
+        undoable=ca.logic_and(s.undoable, whole),
         Phi=ca.if_else(finite, moved[n:], v.one),
         Y=ca.if_else(finite, s.Y, v.reset),
         samples=ca.if_else(finite, s.samples, 0),
@@ -142,9 +155,11 @@ def jump(v: Parts) -> ca.Function:
         Phi=ca.if_else(finite, Phi, v.one),
         Y=ca.if_else(finite, Y, v.reset),
         x_filtered=x,
+        before=s.x,
+        undoable=1,
         samples=ca.if_else(finite, ca.if_else(ended, 0, s.samples) + 1, 0),
         innovation=ca.if_else(valid, residual, 0),
-        status=ca.if_else(incomplete, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed)),
+        status=ca.if_else(finite, ca.if_else(incomplete, CODE.sample_rejected, CODE.corrected), CODE.solver_failed),
         contraction=ca.if_else(finite, factors[0], s.contraction),
         certified=ca.if_else(finite, factors[1], s.certified),
         intervals=s.intervals + ended,

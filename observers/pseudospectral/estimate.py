@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 
 from observers.numerics import algebraic
+from observers.numerics.finite import kept
 from observers.numerics.layout import Layout
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.problem_2 import Solution
@@ -35,4 +36,4 @@ def estimate(method: Method, now: Instant, window: Window, solution: Solution) -
     theta = ca.if_else(accepted, fitted.theta, s.theta)
     near = ca.if_else(accepted, z_near, s.z) if problem.n_algebraic else s.z
     z = algebraic.motion(method.equations)(x, now.known, now.q.model, theta, now.t, near)[1]
-    return Estimate(x, z, theta, fitted.x0)
+    return Estimate(x, kept(z, s.z), theta, fitted.x0)

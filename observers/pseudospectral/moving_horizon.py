@@ -70,7 +70,7 @@ def _next(
     s = now.s
     absent = {name: ca.DM(0, 1) for name, size in memory.layout(method).sizes.items() if size == 0}
     prior = arrival.advance(method, now, window, solution.trajectory) if method.arrival else {}
-    unreadable = ca.logic_and(now.offered, ca.logic_not(window.finite))
+    unreadable = ca.logic_and(now.offered, ca.logic_not(window.readable))
     return {
         **absent,
         "x": found.x,

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers.numerics.finite import HUGE
+from observers.numerics.finite import HUGE, kept
 from observers.pseudospectral import arrival, bounded_noise
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.sample import Instant, Window
@@ -116,11 +116,12 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
         kept=ca.logic_and(wanted, ca.logic_not(due)),
         failed=ca.logic_and(due, ca.logic_not(converged)),
         undetermined=ca.logic_and(converged, ca.logic_not(determined)),
-        cost=ca.if_else(accepted, cost_after, ca.if_else(ref.enough, before, 0)),
+        # Where the start lies outside the domain of the model's functions, so do they: nothing is lost by showing the last cost.
+        cost=kept(ca.if_else(accepted, cost_after, ca.if_else(ref.enough, before, 0)), now.s.cost),
         cost_after=cost_after,
-        conditioning=conditioning,
+        conditioning=kept(conditioning, 0),
         spread=spread,
-        slack=slack,
+        slack=kept(slack, 0),
         iterations=iterations,
         bounds=bounds,
     )

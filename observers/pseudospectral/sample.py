@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers.numerics.finite import HUGE
+from observers.numerics.finite import finite, kept
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.window.problem import known_terms
 from observers.pseudospectral.window.sliding import insert_input, insert_sample
@@ -39,13 +39,13 @@ class Instant:
 class Window:
     """The window [t_k - L Ts, t_k] with the new sample at its `place`; a window that is not full yet is not `moving`.
 
-    `finite`, `valid` (ny): what of the new sample is a number, and what counts; `y` (ny) that, else 0; `innovation` (ny) against the
+    `readable`, `valid` (ny): what of the new sample is a number, and what counts; `y` (ny) that, else 0; `innovation` (ny) against the
     prediction. `Y`, `W` (ny (L + 1)) the window's samples and their weights; `U` its inputs as `Segment` wants them, `seen` those at the
     samples where the outputs see them, `at_points` those at the measured points; `data` the problem's known terms, `start` its time [s];
     `active` (segments), which of them have a sample.
     """
 
-    finite: Any
+    readable: Any
     valid: Any
     y: Any
     innovation: Any
@@ -64,8 +64,8 @@ class Window:
 def collect(method: Method, now: Instant) -> Window:
     """Step 1: the new sample in its place in the window. A measurement that is rejected weighs nothing and never enters."""
     s, problem, L = now.s, method.problem, method.samples
-    finite = ca.fabs(now.measured) <= HUGE  # false for NaN
-    valid = ca.logic_and(finite, now.offered)
+    readable = finite(now.measured)
+    valid = ca.logic_and(readable, now.offered)
     y = ca.if_else(valid, now.measured, 0)
     place = ca.fmin(s.k, L)
     Y, W = (insert_sample(problem.ny, L + 1)(column, new, s.k) for column, new in ((s.y, y), (s.weight, valid)))
@@ -73,10 +73,10 @@ def collect(method: Method, now: Instant) -> Window:
     U, seen, at_points = _inputs(method, now)
     expected = method.measure(s.x, now.known, now.q.model, s.theta, now.t, s.z)[0]
     return Window(
-        finite=finite,
+        readable=readable,
         valid=valid,
         y=y,
-        innovation=ca.if_else(valid, now.measured - expected, 0),
+        innovation=kept(ca.if_else(valid, now.measured - expected, 0), 0),
         moving=s.k > L,
         place=place,
         Y=Y,

@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 
+from observers.numerics.finite import finite, kept
 from observers.pseudospectral.estimate import Estimate
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.ports import CODE
@@ -64,7 +65,7 @@ def quality(
         (ca.sum1(window.valid) == 0, CODE.sample_rejected),
     ):
         status = ca.if_else(condition, code, status)
-    return Quality(status, deviation, node0, changed)
+    return Quality(status, deviation, kept(node0, s.node0_residual), changed)
 
 
 def _changed(method: Method, now: Instant) -> Any:
@@ -79,4 +80,5 @@ def _deviation(method: Method, now: Instant, window: Window, solution: Solution)
     problem = method.problem
     redundancy = ca.fmax(ca.sum1(window.W) - problem.nx - problem.n_theta, 1)
     noise = problem.segment.sample_time if method.arrival else solution.cost_after / redundancy
-    return ca.if_else(solution.accepted, ca.sqrt(ca.fmax(solution.spread * noise, 0)), now.s.deviation)
+    deviation = ca.sqrt(ca.fmax(solution.spread * noise, 0))
+    return ca.if_else(ca.logic_and(solution.accepted, finite(deviation)), deviation, now.s.deviation)

@@ -30,7 +30,10 @@ STATUS = Enumeration(
             "sample_rejected",
             "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
-        ("solver_failed", "a step was not finite: the estimate was held, Q starts again from Q0"),
+        (
+            "solver_failed",
+            "a step was not finite: the estimate is the prediction without the last sample, Q starts again from Q0",
+        ),
     ),
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
@@ -65,8 +68,9 @@ class Parts:
 def parts(model: Model, line: Linearisation, design: Design, certificate: Certificate, stiff: bool) -> Parts:
     n, ny = len(line.variables), len(model.outputs)
     state = Layout(
-        m=n, Q=n * n, m_filtered=n, guess_error=1, innovation=ny, status=1, certified=1, rate=1, rejected=1, failures=1
-    )
+        m=n, Q=n * n, m_filtered=n, before=n, undoable=1, guess_error=1, innovation=ny, status=1, certified=1, rate=1, rejected=1,
+        failures=1,
+    )  # fmt: skip
     settings = Layout(guess=n, model=len(model.parameters), **design.sizes, initial_error=1, sample_time=1)
     z, u, p, t, h = (
         ca.MX.sym(*shape)
@@ -83,6 +87,8 @@ def start(v: Parts) -> ca.Function:
         "m": v.q.guess,
         "Q": ca.vec(ca.densify(v.Q0)),
         "m_filtered": v.q.guess,
+        "before": v.q.guess,  # the prediction at the last sample, before it acted
+        "undoable": ca.DM(0),  # whether to go back to it is worth a try
         "guess_error": v.certificate.distance(v.q.guess, v.q.initial_error),
         "innovation": ca.DM.zeros(len(v.model.outputs)),
         "status": ca.DM(CODE.propagated_guess),
@@ -96,7 +102,8 @@ def start(v: Parts) -> ca.Function:
 def flow(v: Parts) -> ca.Function:
     """flow(z, u, p, t, h) -> z: (2.1), (2.2) without measurements over h.
 
-    A is taken at the middle of the step, so that Q too is of second order in it.
+    A is taken at the middle of the step, so that Q too is of second order in it. Where m escapes, the last sample is undone; a prediction
+    that escapes by itself starts again from the guess.
     """
     s, q, line, known = v.s, v.q, v.line, v.read.known
     n = len(line.variables)
@@ -109,11 +116,15 @@ def flow(v: Parts) -> ca.Function:
         m = runge_kutta(lambda x, time: line.rate(x, known, q.model, time), s.m, v.t, v.h)
         Phi, Wd = propagator(n)(line.jacobian((s.m + m) / 2, known, q.model, v.t + v.h / 2), W, v.h)
     Q = ca.vec(symmetric(Wd + Phi @ Q @ Phi.T))
-    finite = ca.sumsqr(ca.vertcat(m, Q)) < HUGE
+    whole = ca.sumsqr(m) < HUGE
+    finite = ca.logic_and(whole, ca.sumsqr(Q) < HUGE)
+    back = ca.if_else(s.undoable, s.before, q.guess)
     after = v.state.replace(
         v.z,
-        m=ca.if_else(finite, m, s.m),
+        m=ca.if_else(whole, m, back),
         Q=ca.if_else(finite, Q, ca.vec(ca.densify(v.Q0))),
+        m_filtered=ca.if_else(whole, s.m_filtered, back),
+        undoable=ca.logic_and(s.undoable, whole),
         status=ca.if_else(finite, s.status, CODE.solver_failed),
         failures=s.failures + ca.logic_not(finite),
     )
@@ -127,22 +138,24 @@ def jump(v: Parts) -> ca.Function:
     at = (s.m, read.known, q.model, v.t)
     residual = read.y - line.measure(*at)
     valid, rejected = ports.judged(residual, read.offered)
-    innovation = ca.if_else(valid, residual, 0)
+    innovation = ca.if_else(valid, residual, 0)  # a residual that is not finite is not valid
     Q = ca.reshape(s.Q, n, n)
     m, Q_after = correction(n, ny)(s.m, Q, line.gradient(*at), innovation, v.Rd, valid)
     Q_after = ca.vec(Q_after)
     finite = ca.sumsqr(ca.vertcat(m, Q_after)) < HUGE
     incomplete = ca.sum1(valid) < ny
     certified, rate = _certified(v, ca.if_else(finite, m, s.m), incomplete)
-    status = ca.if_else(incomplete, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed))
+    status = ca.if_else(incomplete, CODE.sample_rejected, CODE.corrected)
     m = ca.if_else(finite, m, s.m)
     after = v.state.replace(
         v.z,
         m=m,
         Q=ca.if_else(finite, Q_after, ca.vec(ca.densify(v.Q0))),
         m_filtered=m,
+        before=s.m,
+        undoable=1,
         innovation=innovation,
-        status=status,
+        status=ca.if_else(finite, status, CODE.solver_failed),
         certified=certified,
         rate=rate,
         rejected=s.rejected + rejected,

@@ -12,7 +12,7 @@ from observers import ports
 from observers.component import Enumeration
 from observers.model import Model
 from observers.numerics import linear
-from observers.numerics.finite import HUGE
+from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
 
@@ -25,10 +25,15 @@ STATUS = Enumeration(
             "sample_rejected",
             "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
-        ("solver_failed", "a step was not finite: the estimate is the guess again, its covariance the initial one"),
+        (
+            "solver_failed",
+            "a step was not finite: the estimate is the prediction without the last sample, or the guess again",
+        ),
     ),
 )
 CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
+
+NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
 
 
 @dataclass(frozen=True)
@@ -65,10 +70,9 @@ class Parts:
         n, kappa = self.n, self.q.kappa
         return ca.vertcat(kappa / (n + kappa), ca.repmat(1 / (2 * (n + kappa)), 2 * n, 1))
 
-    @property
-    def fresh(self) -> Any:
-        """The points of the guess and its deviations."""
-        return _points(self.q.guess, ca.diag(self.q.spread), self.q.kappa)
+    def around(self, mean: Any) -> Any:
+        """The points of a mean that is as uncertain as the guess."""
+        return _points(mean, ca.diag(self.q.spread), self.q.kappa)
 
     def at(self, function: ca.Function, x: Any, time: Any) -> Any:
         """`function` of the model's arguments at the point x."""
@@ -79,7 +83,9 @@ class Parts:
 
 def parts(model: Model) -> Parts:
     n, ny = len(model.states) + len(model.unknown_parameters), len(model.outputs)
-    state = Layout(points=n * (2 * n + 1), filtered=n, innovation=ny, status=1, rejected=1, failures=1)
+    state = Layout(
+        points=n * (2 * n + 1), filtered=n, before=n, undoable=1, innovation=ny, status=1, rejected=1, failures=1
+    )
     settings = Layout(guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, sample_time=1)
     z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model)), ca.SX.sym("p", settings.total)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
@@ -89,8 +95,10 @@ def parts(model: Model) -> Parts:
 def start(v: Parts) -> ca.Function:
     """start(p, t0) -> z: the points of the guess."""
     first = {
-        "points": ca.vec(v.fresh),
+        "points": ca.vec(v.around(v.q.guess)),
         "filtered": v.q.guess,
+        "before": v.q.guess,  # the prediction at the last sample, before it acted
+        "undoable": ca.DM(0),  # whether to go back to it is worth a try
         "innovation": ca.DM.zeros(len(v.model.outputs)),
         "status": ca.DM(CODE.propagated_guess),
         "rejected": ca.DM(0),
@@ -100,7 +108,11 @@ def start(v: Parts) -> ca.Function:
 
 
 def flow(v: Parts) -> ca.Function:
-    """flow(z, u, p, t, h) -> z: the points follow the model; where one escapes, all start again from the guess."""
+    """flow(z, u, p, t, h) -> z: the points follow the model.
+
+    Where one escapes, the last sample is undone: they start again around the prediction without it; where that escapes too, around
+    the guess.
+    """
     s, eq, now = v.s, v.model.equations, v.points
     still = ca.SX.zeros(eq.theta.numel())
     rhs = ca.Function("rhs", [eq.x, eq.theta, eq.u, eq.p, eq.t], [ca.vertcat(eq.ode, still)])
@@ -108,9 +120,12 @@ def flow(v: Parts) -> ca.Function:
         *[runge_kutta(lambda x, time: v.at(rhs, x, time), now[:, i], v.t, v.h) for i in range(v.n_points)]
     )
     sound = ca.sumsqr(moved) < HUGE
+    back = ca.if_else(s.undoable, s.before, v.q.guess)
     after = v.state.replace(
         v.z,
-        points=ca.vec(ca.if_else(sound, moved, v.fresh)),
+        points=ca.vec(ca.if_else(sound, moved, v.around(back))),
+        filtered=ca.if_else(sound, s.filtered, back),
+        undoable=ca.logic_and(s.undoable, sound),
         status=ca.if_else(sound, s.status, CODE.solver_failed),
         failures=s.failures + ca.logic_not(sound),
     )
@@ -133,13 +148,18 @@ def jump(v: Parts) -> ca.Function:
     K, root_after = _gain(dx, dy, weights, ca.diag(ca.if_else(valid, q.sensor, 1)), valid)
     corrected = mean + ca.mtimes(K, innovation)
     redrawn = _points(corrected, root_after, q.kappa)
-    finite = ca.sumsqr(redrawn) < HUGE
+    # A correction that fails leaves the prediction; after a second one in a row the points start again around the guess.
+    finite = ca.sumsqr(ca.vertcat(ca.vec(redrawn), innovation)) < HUGE
+    again = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(drawn) < HUGE))
+    left = ca.if_else(again, v.around(q.guess), drawn)
     status = ca.if_else(ca.sum1(valid) < ny, CODE.sample_rejected, CODE.corrected)
     after = v.state.pack(
         {
-            "points": ca.vec(ca.if_else(finite, redrawn, v.fresh)),
-            "filtered": ca.if_else(finite, corrected, q.guess),
-            "innovation": innovation,
+            "points": ca.vec(ca.if_else(finite, redrawn, left)),
+            "filtered": ca.if_else(finite, corrected, left[:, 0]),
+            "before": ca.if_else(again, q.guess, mean),
+            "undoable": ca.DM(1),
+            "innovation": kept(innovation, 0),
             "status": ca.if_else(ca.logic_not(finite), CODE.solver_failed, status),
             "rejected": s.rejected + rejected,
             "failures": s.failures + ca.logic_not(finite),
@@ -158,9 +178,14 @@ def output(v: Parts) -> ca.Function:
 
 
 def _gain(dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any) -> tuple[Any, Any]:
-    """The gain K (n x ny), and the square root (n x n) of the covariance after the sample."""
+    """The gain K (n x ny), and the square root (n x n) of the covariance after the sample.
+
+    An output that the others leave no uncertainty in, such as the second of two perfect sensors, has nothing to add: its part of K is 0.
+    """
     rooted = ca.diag(ca.sqrt(weights))
     Sy = linear.square_root(ca.horzcat(ca.mtimes(dy, rooted), noise_root))
+    for i in range(Sy.shape[0]):
+        Sy[i, i] = ca.if_else(ca.fabs(Sy[i, i]) <= NOTHING * ca.norm_2(Sy[i, : i + 1]), HUGE, Sy[i, i])
     Pxy = ca.mtimes([dx, ca.diag(weights), dy.T])
     half = linear.right_solve(Sy.T, Pxy)  # Pxy = K Sy Sy': upper triangle Sy' first, then Sy by the transposed problem
     K = linear.left_transposed(Sy, half)
