@@ -104,10 +104,7 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
     given = _given(method, now, window, ref)
     found, bounds = _solved(method, now, window, start, due, given, residual)
     *new, size, cost_after, conditioning, spread, slack, iterations = found
-    # Accepted: it converged, to numbers, and the samples determine it. With an arrival cost the past decides what the window leaves open.
-    sound = ca.sumsqr(ca.vertcat(*new)) < HUGE
-    converged = ca.logic_and(ca.logic_and(due, sound), size < q.tolerance**2)
-    determined = 1 if method.arrival else conditioning > q.conditioning_limit
+    converged, determined = _acceptable(method, now, new, size, conditioning, due)
     accepted = ca.logic_and(converged, determined)
     pairs = zip(new, start.trajectory, strict=True)
     return Solution(
@@ -125,6 +122,18 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
         iterations=iterations,
         bounds=bounds,
     )
+
+
+def _acceptable(
+    method: Method, now: Instant, new: list[Any], size: Any, conditioning: Any, due: Any
+) -> tuple[Any, Any]:
+    """Whether the solve converged, to numbers, and whether the samples determine the state; else the prediction is kept.
+
+    With an arrival cost the past decides what the window leaves open.
+    """
+    sound = ca.sumsqr(ca.vertcat(*new)) < HUGE
+    converged = ca.logic_and(ca.logic_and(due, sound), size < now.q.tolerance**2)
+    return converged, 1 if method.arrival else conditioning > now.q.conditioning_limit
 
 
 def _given(method: Method, now: Instant, window: Window, ref: Reference) -> dict[str, Any]:
