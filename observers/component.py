@@ -40,7 +40,8 @@ class Port(Variable):
 
     `kind` is "Real", "Integer", "Boolean" (0 or 1) or "Enumeration" (then `enumeration` says which); all travel as doubles.
     `variability` is "continuous" or "discrete" (inputs, outputs), "tunable" or "fixed" (parameters), "constant" (constants). `local`
-    marks an output that is shown, not connected.
+    marks an output that is shown, not connected. `unit` is "" where the quantity has one that no unit expression can say, such as
+    m/sqrt(s): the FMU then declares none, and the description says it in words.
     """
 
     kind: str = "Real"

@@ -1,5 +1,19 @@
 """The ports that every observer of a model has: the names of design and documentation, made in one place.
 
+The arguments that all observers share:
+    model: the equations; what a method cannot treat it refuses by name.
+    sample_time: Ts [s], start value of the fixed parameter `sample_time`; finite, at least SHORTEST_SAMPLE_TIME.
+    guess: by name, start values of `guess.*` that differ from the model's: states and what else is estimated.
+    name: the component's, hence the FMU's; `<model>_<observer>` if absent.
+    max_step: the longest step of the prediction between samples [s]; a longer one is cut into equal parts.
+    stop_time: of the default experiment [s].
+Those of ukf, riccati, least_squares and pseudospectral with an arrival cost, start values of parameters, by name:
+    process_noise: `tuning.process_noise.<state or unknown parameter>`, in the variable's unit per sqrt(s): between samples the
+        variance grows at the rate of its square.
+    measurement_noise: `tuning.measurement_noise.<output>`, standard deviation of a sample.
+    initial_std: `tuning.initial_std.<state or unknown parameter>`, standard deviation of the guess; fixed.
+A name that is not in the mapping has the method's own part of the variable's nominal value.
+
 Inputs are the model's outputs, its known inputs, then a flag for each output that says whether its sample has arrived. `estimate.*` is of
 the current time, `filtered.*` of the last sample instant.
 """
@@ -13,13 +27,23 @@ from typing import Any
 
 import casadi as ca
 
+from observers import units
 from observers.component import SHORTEST_SAMPLE_TIME, Enumeration, Port
 from observers.model import Model, ModelError, Variable
 from observers.numerics.finite import HUGE
 
-PROCESS_NOISE = "process noise intensity per sqrt(s) of"
-MEASUREMENT_NOISE = "standard deviation of a sample of"
-INITIAL_STD = "standard deviation of the guess of"
+
+@dataclass(frozen=True)
+class Deviation:
+    """What a standard deviation of the tuning is: `text`; `per_root_second`: in the variable's unit per sqrt(s), an intensity."""
+
+    text: str
+    per_root_second: bool = False
+
+
+PROCESS_NOISE = Deviation("process noise intensity of", per_root_second=True)
+MEASUREMENT_NOISE = Deviation("standard deviation of a sample of")
+INITIAL_STD = Deviation("standard deviation of the guess of")
 COUNTERS = (
     Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
     Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
@@ -150,7 +174,7 @@ def innovations(model: Model) -> tuple[Port, ...]:
         Port(
             f"diagnostics.innovation[{i}]" if several else "diagnostics.innovation",
             f"measured minus predicted {v.description or v.name}",
-            v.unit,
+            units.difference(v.unit),
             nominal=v.nominal,
             variability="discrete",
         )
@@ -165,7 +189,7 @@ def _estimated(model: Model) -> tuple[Variable, ...]:
 def deviations(
     owner: str,
     group: str,
-    text: str,
+    what: Deviation,
     variables: Sequence[Variable],
     values: Mapping[str, float] | None,
     part: float,
@@ -174,19 +198,22 @@ def deviations(
 ) -> tuple[Port, ...]:
     """`tuning.<group>.<variable>`, standard deviations or intensities; by default `part` of the nominal values.
 
+    A standard deviation has its variable's unit. An intensity, in that unit per sqrt(s), has none that FMI could say: the description does.
+
     Raises:
         ModelError: a name in `values` that is none of the `variables`.
     """
     given = dict(values or {})
     made = []
     for v in variables:
-        start, what = given.pop(v.name, part * v.nominal), v.description or v.name
+        unit = units.difference(v.unit)
+        words = f", in {unit} per sqrt(s)" if what.per_root_second else ""
         made.append(
             Port(
                 f"tuning.{group}.{v.name}",
-                f"{text} {what}",
-                "1",
-                start,
+                f"{what.text} {v.description or v.name}{words}",
+                units.NONE if what.per_root_second else unit,
+                given.pop(v.name, part * v.nominal),
                 min=smallest * v.nominal,
                 variability=variability,
             )
@@ -194,6 +221,12 @@ def deviations(
     if given:
         raise ModelError(f"{owner}: {group} of '{next(iter(given))}'; known: {', '.join(v.name for v in variables)}")
     return tuple(made)
+
+
+def refuse_both(owner: str, paper: str, by_paper: object, deviation: str, by_deviation: object) -> None:
+    """Raise a ValueError if the same thing is given in both ways, neither of them None."""
+    if by_paper is not None and by_deviation is not None:
+        raise ValueError(f"{owner}: {paper} and {deviation} say the same thing: give one of them")
 
 
 def _like(name: str, v: Variable, text: str, variability: str) -> Port:

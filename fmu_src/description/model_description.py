@@ -194,7 +194,7 @@ def _real_units(variables: list[Entry]) -> dict[str, str]:
     """Each unit with the first variable that uses it."""
     found: dict[str, str] = {}
     for entry in variables:
-        if entry.port.kind == "Real":
+        if entry.port.kind == "Real" and entry.port.unit:
             found.setdefault(entry.port.unit, entry.port.name)
     return found
 
@@ -252,7 +252,7 @@ def _scalar_variable(parent: etree._Element, reference: int, entry: Entry) -> No
     element = etree.SubElement(variable, port.kind)
     if port.enumeration is not None:
         element.set("declaredType", port.enumeration.name)
-    if port.kind == "Real":
+    if port.kind == "Real" and port.unit:
         element.set("declaredType", type_name(port.unit))
         element.set("unit", port.unit)
     low, high = bounds(port)
