@@ -14,7 +14,7 @@ from observers.instance import Instance
 from observers.pseudospectral import pseudospectral
 from observers.pseudospectral.ports import CODE
 from observers.ukf import ukf
-from observers.ukf.observer import CODE as UKF_CODE
+from observers.ukf.steps import CODE as UKF_CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 

@@ -13,7 +13,7 @@ from cosim.master import run
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.ukf import ukf
-from observers.ukf.observer import CODE
+from observers.ukf.steps import CODE
 from reference_models.duffing import DUFFING
 
 A = np.array([[0.0, 1.0], [-2.0, -0.3]])
