@@ -4,7 +4,8 @@
      0 = y - h(x)                                           (2.11)
 
 x is the estimate; lambda, the relaxation, goes to zero with its error and is a residual: it stays away from zero where the measurements
-and the model contradict each other. `dae` holds the equations, `dae_gain` the choice of Gamma (section 3), `dae_steps` the integration.
+and the model contradict each other. `dae` holds the equations, `gain` the choice of Gamma (section 3), `steps` the integration,
+`sample` what happens at a sample.
 
 What deviates from the paper, and why:
 - The w-form, w = x - h_x' lambda, w' = f + Gamma lambda for a constant h_x, is the same DAE as an ODE of w; x and lambda follow from
@@ -21,29 +22,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
 from observers import ports
 from observers.canonical_dae import fault_detector
 from observers.canonical_dae.bdf import MOST
 from observers.canonical_dae.dae import Dae, relaxed
-from observers.canonical_dae.gain import Design, Gain, choose, reduced_pair
+from observers.canonical_dae.gain import Design, choose, reduced_pair
 from observers.canonical_dae.interpolation import HIGHEST
-from observers.canonical_dae.ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
+from observers.canonical_dae.ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas, structure
 from observers.canonical_dae.region import Region, region
-from observers.canonical_dae.steps import bdf_step, consistent, integrated
-from observers.component import Component, Port
+from observers.canonical_dae.sample import Form, jump, layout
+from observers.component import Component
 from observers.model import Model, refuse
-from observers.numerics.exact import product
-from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 
-CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
+METHOD = "canonical_dae"
 
 
 def canonical_dae(
@@ -64,8 +63,10 @@ def canonical_dae(
 ) -> Component:
     """The observer for `model` as a component: measurements and known inputs in, `estimate.*` and `diagnostics.lambda` out.
 
+    The arguments that all observers share are described in `observers.ports`; the first sample projects the guess onto h(x) = y, the
+    prediction between samples is by classical Runge-Kutta steps.
+
     Args:
-        sample_time: start value of the fixed parameter `sample_time`, Ts [s].
         gain: "exact" places all eigenvalues of the linearised error dynamics (3.17)-(3.22), "regional" shifts them left of -alpha by the
             Riccati equation (3.25), (3.26); or a function `(x, u, p, t)` that returns the rows of Gamma (n x p), written like the model.
         poles: for "exact", the eigenvalues [1/s], one for each state (less the unknown disturbances), real or in conjugate pairs; -10 each
@@ -75,10 +76,6 @@ def canonical_dae(
         order: of the backward differentiation, 1 to 5.
         degree: of the polynomial through past measurements that the w-form takes between samples, 1 to 9. A higher one follows faster
             signals and amplifies noise near half the sampling frequency.
-        guess: start values of `guess.*` that differ from the model's. The first sample projects it onto h(x) = y.
-        name: the component's name; `<model>_canonical_dae` if absent.
-        max_step: the longest prediction step [s] (classical Runge-Kutta).
-        stop_time: of the default experiment [s].
 
     Raises:
         ModelError: algebraic variables; outputs that a held input moves other than by a sum; unknown disturbances with which the DAE's
@@ -86,14 +83,9 @@ def canonical_dae(
             observable and do not decay as fast as the gain promises.
         ValueError: an option out of range.
     """
-    refuse(model, "canonical_dae", "algebraic")
-    period = ports.sample_time("canonical_dae", sample_time)
-    if form not in ("w", "bdf"):
-        raise ValueError(f"canonical_dae: form = {form!r} must be 'w' or 'bdf'")
-    if not 1 <= order <= MOST:
-        raise ValueError(f"canonical_dae: order = {order} must be 1 to {MOST}")
-    if not 1 <= degree <= HIGHEST:
-        raise ValueError(f"canonical_dae: degree = {degree} must be 1 to {HIGHEST}")
+    refuse(model, METHOD, "algebraic")
+    period = ports.sample_time(METHOD, sample_time)
+    _check_options(form, order, degree)
     dae, checked = relaxed(model), region(model)
     # How far left what no gain moves must lie: exact placement leaves nothing, a given gain is asked for stability.
     _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
@@ -102,36 +94,22 @@ def canonical_dae(
     known = ports.known_parameters(model)
     # Without a relaxation there is no residual to watch.
     detector = fault_detector.TUNING if dae.n_lambda else ()
-    tuning = (*chosen.tuning, *detector)
     settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=len(detector))
-    jump, state = _jump(model, dae, chosen, settings, form, order, degree)
-    z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model))
-    p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
-    s, q = state.unpack(z), settings.unpack(p)
-    inputs = ports.read(model, u).known
-
-    rhs = ca.Function("rhs", dae.arguments, [dae.f])
-    forced = ca.mtimes(ca.DM(dae.E), s.d) if dae.n_disturbances else 0
-    moved = runge_kutta(lambda x, time: rhs(x, inputs, q.model, time) + forced, s.x, t, h, CLASSICAL_4)
-    start = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {
-        "x": q.guess,
-        "x_filtered": q.guess,
-        "status": ca.DM(CODE.initial_guess),
-        "fault": ca.DM(fault_detector.SETTLING),
-    }
+    integration = Form(form == "bdf", order, degree)
+    state = layout(model, dae, integration)
+    v = _symbols(model, state, settings)
+    s = v.s
     residual = [s.mu[dae.n_disturbances :], s.fault] if dae.n_lambda else []
     shown = [s.x, s.x_filtered, s.d, s.d, s.status, *residual, s.innovation, s.singular, s.rejected, s.failures]
     return Component(
         name=name or f"{model.name}_canonical_dae",
         description=f"Canonical DAE observer for {model.name} (Nikoukhah 1995), {chosen.description}",
-        start=ca.Function("start", [p, t], [state.pack(start)]),
-        flow=ca.Function(
-            "flow", [z, u, p, t, h], [state.replace(z, x=moved, input_integral=s.input_integral + h * inputs)]
-        ),
-        jump=jump,
-        output=ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)]),
+        start=ca.Function("start", [v.p, v.t], [_start(v, state)]),
+        flow=ca.Function("flow", [v.z, v.u, v.p, v.t, v.h], [_flow(v, dae, state)]),
+        jump=jump(model, dae, chosen, state, settings, integration),
+        output=ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)]),
         inputs=(*ports.inputs(model), *ports.validity(model)),
-        parameters=(*ports.guesses(model, guess or {}), *known, period, *tuning),
+        parameters=(*ports.guesses(model, guess or {}), *known, period, *chosen.tuning, *detector),
         outputs=(
             *ports.estimates(model),
             *disturbances(model),
@@ -142,24 +120,7 @@ def canonical_dae(
             SINGULAR,
             *ports.COUNTERS,
         ),
-        constants=(
-            Port(
-                "structure.order",
-                "order of the backward differentiation; 0: w-form",
-                start=order if form == "bdf" else 0,
-                kind="Integer",
-                variability="constant",
-                local=True,
-            ),
-            Port(
-                "structure.degree",
-                "degree of the polynomial through past measurements; 0: backward differentiation, which needs none",
-                start=0 if form == "bdf" else degree,
-                kind="Integer",
-                variability="constant",
-                local=True,
-            ),
-        ),
+        constants=structure(integration.implicit, order, degree),
         sample_time="sample_time",
         samples_inputs=True,
         max_step=max_step,
@@ -170,132 +131,52 @@ def canonical_dae(
     )
 
 
+def _check_options(form: str, order: int, degree: int) -> None:
+    if form not in ("w", "bdf"):
+        raise ValueError(f"{METHOD}: form = {form!r} must be 'w' or 'bdf'")
+    if not 1 <= order <= MOST:
+        raise ValueError(f"{METHOD}: order = {order} must be 1 to {MOST}")
+    if not 1 <= degree <= HIGHEST:
+        raise ValueError(f"{METHOD}: degree = {degree} must be 1 to {HIGHEST}")
+
+
 def _check(dae: Dae, checked: Region, left_of: float) -> None:
     """The assumptions of Theorem 3.2 at points of the region; (2.11) then has index 1 there (Lemma 2.1).
 
     The proof of Lemma 3.2 needs less than observability: what (C, A) hides must decay faster than exp(-left_of t) by itself.
     """
     at = dae.arguments
-    checked.require_rank("canonical_dae", "h_x", ca.Function("C", at, [ca.densify(dae.C)]), dae.n_outputs)
+    checked.require_rank(METHOD, "h_x", ca.Function("C", at, [ca.densify(dae.C)]), dae.n_outputs)
     hidden = ", ".join(v.name for v in checked.model.unknown_disturbances)
     what = f"what the unknown disturbances ({hidden}) leave of (h_x, f_x)" if hidden else "(h_x, f_x)"
     pair = ca.Function("pair", at, [ca.densify(block) for block in reduced_pair(dae)])
-    checked.require_detectable("canonical_dae", what, pair, left_of)
+    checked.require_detectable(METHOD, what, pair, left_of)
 
 
-def _jump(
-    model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order: int, degree: int
-) -> tuple[ca.Function, Layout]:
-    """One sample, and the layout of the state it works on."""
-    n, ny, nu, nd = dae.n, dae.n_outputs, len(model.inputs), dae.n_disturbances
-    held, implicit = model.input_between_samples == "held", form == "bdf"
-    kept = 0 if implicit else degree
-    state = Layout(
-        x=n,  # the prediction: the estimate of the current time
-        x_filtered=n,  # the estimate of the last sample instant, where h(x) = y
-        mu=ny,  # [delta; lambda] there
-        d=nd,  # disturbances, means over the last interval
-        y=ny * kept,  # past samples, newest first
-        past=(n + ny) * (order - 1) * implicit,  # (x, mu) before the last sample, newest first
-        u=nu * (not held),  # known inputs at the last sample
-        input_integral=nu,  # since the last sample
-        k=1,  # samples since the start, or since the last failed step
-        innovation=ny,
-        status=1,
-        fault=1,
-        above=1,
-        below=1,
-        singular=1,
-        rejected=1,
-        failures=1,
-    )
-    z, u, p, t = (
-        ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",))
-    )
-    s, q = state.unpack(z), settings.unpack(p)
-    read = ports.read(model, u)
-    known = read.known
-    Ts = q.sample_time
+def _symbols(model: Model, state: Layout, settings: Layout) -> SimpleNamespace:
+    """z, u, p, t, h; `s` and `q` (the parts of z and p); `known` (the known inputs in u)."""
+    z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model)), ca.SX.sym("p", settings.total)
+    t, h = ca.SX.sym("t"), ca.SX.sym("h")
+    known = ports.read(model, u).known
+    return SimpleNamespace(z=z, u=u, p=p, t=t, h=h, s=state.unpack(z), q=settings.unpack(p), known=known)
 
-    # A measurement that is missing or not finite is replaced by its prediction.
-    valid, rejected = ports.judged(read.y, read.offered)
-    outputs = ca.Function("outputs", dae.arguments, [ca.densify(dae.h), ca.densify(dae.r)])
-    predicted, added = outputs(s.x, known, q.model, t)
-    y = ca.if_else(valid, read.y - added, predicted)
-    any_valid, all_valid = ca.sum1(valid) > 0, ca.sum1(valid) == ny
 
-    u_end = s.input_integral / Ts if held else known
-    u_begin = u_end if held else s.u
-    first = s.k < 1
-    if implicit:
-        columns = [
-            ca.vertcat(s.x_filtered, s.mu),
-            *(s.past[i * (n + ny) : (i + 1) * (n + ny)] for i in range(order - 1)),
-        ]
-        x, mu, change, mu_dot = bdf_step(dae, gain, order)(s.x, s.mu, y, columns, s.k, u_end, q.model, t, Ts, q.gain)
-        d, y_kept, past = _head(mu_dot, nd), ca.MX(0, 1), ca.vertcat(*columns[: order - 1], ca.MX(0, 1))
-    else:
-        samples = [y, *(s.y[i * ny : (i + 1) * ny] for i in range(kept))]
-        x, mu, change = integrated(dae, gain, degree)(
-            s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain
-        )
-        # delta is known up to a constant: it counts from sample to sample.
-        d, mu = _head(mu, nd) / Ts, (ca.vertcat(ca.DM.zeros(nd), mu[nd:]) if dae.n_lambda else ca.DM.zeros(nd))
-        y_kept, past = ca.vertcat(*samples[:kept]), ca.MX(0, 1)
-    x_first, _, change_first = consistent(dae)(s.x, y, s.x, ca.DM.zeros(ny), known, q.model, t)
-    x, mu = ca.if_else(first, x_first, x), ca.if_else(first, 0, mu)
-    d, change = ca.if_else(first, s.d, d), ca.if_else(first, change_first, change)
-
-    sound = ca.logic_and(ca.sumsqr(ca.vertcat(x, mu, d)) < HUGE, change < CONVERGED)
-    failed = ca.logic_and(any_valid, ca.logic_not(sound))
-    accepted = ca.logic_and(any_valid, sound)
-    x = ca.if_else(accepted, x, s.x)
-    mu = ca.if_else(accepted, mu, ca.if_else(failed, 0, s.mu))
-    d = ca.if_else(accepted, d, s.d)
-    singular = ca.logic_not(gain.gamma(x, known, q.model, t, q.gain)[1])
-
-    fault, above, below = s.fault, s.above, s.below
-    if dae.n_lambda:
-        scale = product(np.abs(dae.M.T), np.array([[v.nominal] for v in model.outputs]))
-        size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
-        threshold, persistence, settling = ca.vertsplit(q.detector)
-        detected = fault_detector.detect(fault, above, below, size, threshold, persistence, settling, Ts)
-        fault, above, below = (
-            ca.if_else(any_valid, new, old) for new, old in zip(detected, (fault, above, below), strict=True)
-        )
-    status: Any = CODE.estimating
-    for condition, code in (
-        (singular, CODE.singular_gain),
-        (ca.logic_not(all_valid), CODE.sample_rejected),
-        (failed, CODE.solver_failed),
-    ):
-        status = ca.if_else(condition, code, status)
-
-    result = state.pack(
-        {
-            "x": x,
-            "x_filtered": x,
-            "mu": mu,
-            "d": d,
-            "y": y_kept,
-            "past": past,
-            "u": ca.MX(0, 1) if held else known,
-            "input_integral": ca.DM.zeros(nu),
-            "k": ca.if_else(failed, 0, s.k + 1),
-            "innovation": y - predicted,
-            "status": status,
-            "fault": fault,
-            "above": above,
-            "below": below,
-            "singular": s.singular + singular,
-            "rejected": s.rejected + rejected,
-            "failures": s.failures + failed,
+def _start(v: SimpleNamespace, state: Layout) -> Any:
+    """The guess; the first sample projects it onto h(x) = y."""
+    return state.pack(
+        {part: ca.DM.zeros(size) for part, size in state.sizes.items()}
+        | {
+            "x": v.q.guess,
+            "x_filtered": v.q.guess,
+            "status": ca.DM(CODE.initial_guess),
+            "fault": ca.DM(fault_detector.SETTLING),
         }
     )
-    jump = ca.Function("jump", [z, u, p, t], [result])
-    return jump.expand("jump", {"cse": True}), state
 
 
-def _head(column: Any, count: int) -> Any:
-    """The first entries of a column; an empty slice would be 1 x 0."""
-    return column[:count] if count else ca.MX(0, 1)
+def _flow(v: SimpleNamespace, dae: Dae, state: Layout) -> Any:
+    """Between samples the estimate follows the model."""
+    rhs = ca.Function("rhs", dae.arguments, [dae.f])
+    forced = ca.mtimes(ca.DM(dae.E), v.s.d) if dae.n_disturbances else 0
+    moved = runge_kutta(lambda x, time: rhs(x, v.known, v.q.model, time) + forced, v.s.x, v.t, v.h, CLASSICAL_4)
+    return state.replace(v.z, x=moved, input_integral=v.s.input_integral + v.h * v.known)

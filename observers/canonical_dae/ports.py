@@ -55,6 +55,28 @@ def disturbances(model: Model) -> tuple[Port, ...]:
     return tuple(made)
 
 
+def structure(implicit: bool, order: int, degree: int) -> tuple[Port, ...]:
+    """`structure.order`, `structure.degree`: what was chosen when it was built."""
+    return (
+        Port(
+            "structure.order",
+            "order of the backward differentiation; 0: w-form",
+            start=order if implicit else 0,
+            kind="Integer",
+            variability="constant",
+            local=True,
+        ),
+        Port(
+            "structure.degree",
+            "degree of the polynomial through past measurements; 0: backward differentiation, which needs none",
+            start=0 if implicit else degree,
+            kind="Integer",
+            variability="constant",
+            local=True,
+        ),
+    )
+
+
 def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) -> str:
     """The method in short, as HTML."""
     how = (
