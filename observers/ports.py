@@ -1,20 +1,21 @@
 """The ports that every observer of a model has: the names of design and documentation, made in one place.
 
+The arguments that all observers share:
+    model: the equations; what a method cannot treat it refuses by name.
+    sample_time: Ts [s], start value of the fixed parameter `sample_time`; finite, at least SHORTEST_SAMPLE_TIME.
+    guess: by name, start values of `guess.*` that differ from the model's: states and what else is estimated.
+    name: the component's, hence the FMU's; `<model>_<observer>` if absent.
+    max_step: the longest step of the prediction between samples [s]; a longer one is cut into equal parts.
+    stop_time: of the default experiment [s].
+Those of ukf, riccati, least_squares and pseudospectral with an arrival cost, start values of parameters, by name:
+    process_noise: `tuning.process_noise.<state or unknown parameter>`, in the variable's unit per sqrt(s): between samples the
+        variance grows at the rate of its square.
+    measurement_noise: `tuning.measurement_noise.<output>`, standard deviation of a sample.
+    initial_std: `tuning.initial_std.<state or unknown parameter>`, standard deviation of the guess; fixed.
+A name that is not in the mapping has the method's own part of the variable's nominal value.
+
 Inputs are the model's outputs, its known inputs, then a flag for each output that says whether its sample has arrived. `estimate.*` is of
 the current time, `filtered.*` of the last sample instant.
-
-What all observers are given by the same names, start values of parameters of their FMU unless said otherwise:
-
-    model               the equations, a Model
-    sample_time         Ts [s]: the fixed parameter `sample_time`; structural (a constant) where the algebra holds it
-    process_noise       by state or unknown parameter: how far it may wander from the model, in its unit per sqrt(s);
-                        `tuning.process_noise.*`, 1e-3 of the nominal value where one is not named
-    measurement_noise   by output: standard deviation of a sample; `tuning.measurement_noise.*`, 0.1 of the nominal value
-    initial_std         by state or unknown parameter: standard deviation of the guess; `tuning.initial_std.*`, the nominal value
-    guess               by state or unknown parameter: `guess.*`, the model's start value
-    name                of the component, hence of the FMU's file; `<model>_<observer>`
-    max_step            the longest step of the prediction between samples [s]; not a parameter
-    stop_time           of the default experiment [s]
 """
 
 from __future__ import annotations
@@ -220,6 +221,12 @@ def deviations(
     if given:
         raise ModelError(f"{owner}: {group} of '{next(iter(given))}'; known: {', '.join(v.name for v in variables)}")
     return tuple(made)
+
+
+def refuse_both(owner: str, paper: str, by_paper: object, deviation: str, by_deviation: object) -> None:
+    """Raise a ValueError if the same thing is given in both ways, neither of them None."""
+    if by_paper is not None and by_deviation is not None:
+        raise ValueError(f"{owner}: {paper} and {deviation} say the same thing: give one of them")
 
 
 def _like(name: str, v: Variable, text: str, variability: str) -> Port:

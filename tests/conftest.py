@@ -21,12 +21,15 @@ from fmpy.fmi2 import (
 
 import linear_models
 import moving_window
-from build_fmus import build_all, choose
+from build_fmus import FMUS, build_all, choose
 from cosim.master import run
 from cosim.results import Result
 from fmu_src import export
 from observers.component import Component
+from observers.least_squares import least_squares
+from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
+from observers.riccati import riccati
 from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.gong_2007 import rlc
@@ -34,6 +37,13 @@ from reference_models.plant import plant
 from tools import imports, need
 from toys import draining_toy, feedthrough_toy, growing_toy, sampled_toy
 
+MOVED = Model(
+    name="moved",
+    states=[Variable("s", "position", "m"), Variable("v", "speed", "m/s")],
+    outputs=[Variable("y", "measured position", "m")],
+    ode=lambda x, u, p, t: [x.v, -x.s],
+    output=lambda x, u, p, t: [x.s],
+)
 COMPONENTS: dict[str, Callable[[], Component]] = {
     "sampled_toy": sampled_toy,
     "feedthrough_toy": feedthrough_toy,
@@ -56,6 +66,11 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
         moving_window.rotation(), sample_time=0.2, N=12, L=10, name="rotation_bounded"
     ),
     "duffing_missing_ukf": lambda: ukf(DUFFING, sample_time=0.1, measurement_noise={"y": 1e-3}, name="duffing_ukf"),
+    **{name: FMUS[name][0] for name in ("motor_canonical_dae", "van_der_pol_known_elementary")},
+    "moved_riccati": lambda: riccati(
+        MOVED, sample_time=0.1, process_noise={"v": 0.3}, measurement_noise={"y": 0.2}, initial_std={"s": 2.0}
+    ),
+    "moved_least_squares": lambda: least_squares(MOVED, sample_time=0.1, T=0.5, measurement_noise={}, initial_std={}),
     "linear_3_least_squares": lambda: linear_models.least_squares(3),
     **{f"linear_{n}_riccati": partial(linear_models.riccati, n) for n in range(1, linear_models.LARGEST + 1)},
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape
 from types import SimpleNamespace
 
 from observers import ports
@@ -151,4 +152,24 @@ def null_direction(model: Model) -> tuple[Port, ...]:
             variability="discrete",
         )
         for v in (*model.states, *model.unknown_disturbances)
+    )
+
+
+def documentation(model: Model, N: int, problems: list[str], null: str) -> str:
+    """The method in short, its problems, and what it leaves open, as HTML."""
+    listed = "".join(f"<li>{escape(line)}</li>" for line in problems)
+    open_ = (
+        f"<p>Not determined by a window, along the model's own motion: {escape(null)}. <code>diagnostics.null.*</code> shows such a "
+        "direction, <code>diagnostics.visibility</code> how little the measurements see of it; bounds on the disturbance can determine it."
+        "</p>"
+        if null
+        else ""
+    )
+    return (
+        f"<p>States and unknown disturbances of the model {model.name} that fit the last {N} samples, by elementary problems: one scalar "
+        "optimal control problem for each state, solved in turns (Calvillo-Corona and Alamir). Connect the measurements and the known "
+        f"inputs, and step with at most the sample time.</p><ul>{listed}</ul>{open_}"
+        "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
+        "<code>filtered.*</code> of the last sample instant. A disturbance is the mean over the last sample interval.</p>"
+        f"{ports.VALIDITY_HTML}"
     )

@@ -64,8 +64,7 @@ def weights(
         ("gamma", gamma, "measurement_noise", measurement_noise),
         ("p0", p0, "initial_std", initial_std),
     ):
-        if value is not None and deviations is not None:
-            raise ValueError(f"least_squares: {what} and {other} say the same thing: give one of them")
+        ports.refuse_both("least_squares", what, value, other, deviations)
         if value is not None and not 0 < value < HUGE:
             raise ValueError(f"least_squares: {what} = {value:g} must be positive and finite")
     by_name = measurement_noise is not None or initial_std is not None

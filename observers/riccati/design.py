@@ -37,12 +37,16 @@ class Matrix:
 
 @dataclass(frozen=True)
 class Design:
-    """`N` and `Q0`, and the parameters and the start value of `R`; `Rd` (values, Ts) -> the covariance of a sample."""
+    """`N` and `Q0`, and the parameters and the start value of `R`; `Rd` (values, Ts) -> the covariance of a sample.
+
+    `sample_time`: the only Ts [s] at which R has its start value; None where R does not depend on it.
+    """
 
     N: Matrix
     R: Matrix
     Q0: Matrix
     Rd: Callable[[Any, Any], Any]
+    sample_time: float | None = None
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -72,8 +76,7 @@ def design(
     by_name = any(value is not None for value in deviations.values())
     chosen = {}
     for name, other in (("N", "process_noise"), ("R", "measurement_noise"), ("Q0", "initial_std")):
-        if paper[name] is not None and deviations[other] is not None:
-            raise ValueError(f"riccati: {name} and {other} say the same thing: give one of them")
+        ports.refuse_both("riccati", name, paper[name], other, deviations[other])
         chosen[name] = by_name and paper[name] is None
     one = {name: 1.0 if value is None else value for name, value in paper.items()}
     N = (
@@ -93,7 +96,7 @@ def design(
             "measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, deviations, 0.1, smallest=SMALLEST_STD
         )
         R = Matrix(noise.ports, noise.start * np.sqrt(sample_time), noise.of)
-        return Design(N, R, Q0, lambda values, Ts: ca.diag(values**2))
+        return Design(N, R, Q0, lambda values, Ts: ca.diag(values**2), sample_time)
     R = matrix("R", one["R"], model.outputs, Entry("measurement error", "in {0} times sqrt(s)"))
 
     def covariance(values: Any, Ts: Any) -> Any:

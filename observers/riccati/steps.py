@@ -170,5 +170,7 @@ def _certified(v: Parts, m: Any, incomplete: Any) -> tuple[Any, Any]:
     values = ca.vertcat(q.model, q.N, q.R, q.Q0)
     wanted = [p.start for p in (*v.model.parameters, *v.design.ports)]
     holds = ca.logic_and(ca.sumsqr(values - ca.DM(wanted)) == 0, v.certificate.inside(m, v.read.known))
+    if v.design.sample_time is not None:
+        holds = ca.logic_and(holds, q.sample_time == v.design.sample_time)
     holds = ca.logic_and(ca.logic_and(holds, ca.logic_not(incomplete)), v.s.certified > NONE)
     return certify(v.certificate, v.s.guess_error, holds)

@@ -55,7 +55,9 @@ def follow(component, measured, names, stop, Ts, inputs=None, parameters=None):
     run, found = Instance(component, parameters), []
     times = np.arange(round(stop / Ts) + 1) * Ts
     for t in times:
-        for port, value in zip(component.inputs, [*measured(t), *(inputs(t) if inputs else [])], strict=True):
+        for port, value in zip(
+            component.inputs, [*measured(t), *(inputs(t) if inputs else [])], strict=False
+        ):  # then the flags
             run.set(port.name, value)
         run.step(t, Ts)
         found.append([run.get(name) for name in names])
