@@ -95,7 +95,7 @@ def least_squares(
     refuse_unobservable(model, "least_squares")
     if process_noise is not None:
         raise ValueError(
-            "least_squares: process_noise has no meaning here: the reset every T forgets in its place; shorten T instead"
+            "least_squares: process_noise has no meaning here: a reset every T forgets in its place; shorten T instead"
         )
     period = ports.sample_time("least_squares", sample_time)
     line = linearisation(model)
