@@ -8,7 +8,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from moving_window import linear
 from observers.instance import Instance
 from observers.pseudospectral import pseudospectral
@@ -17,6 +17,7 @@ from observers.ukf import ukf
 from observers.ukf.observer import CODE as UKF_CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from slave import Slave
 
 Make = Callable[..., Slave]
 

@@ -221,8 +221,8 @@ def test_with_noise_of_0_1_every_0_05_s_the_rms_error_is_at_most_0_025(example: 
 
 
 @pytest.mark.parametrize("name", [*OBSERVERS, "james_baras_5_1", "james_baras_5_2", "chen_yen"])
-def test_fmpy_finds_nothing_wrong(catalogue: Path, name: str) -> None:
-    assert fmpy.validation.validate_fmu(str(catalogue / "fmus" / f"{name}.fmu")) == []
+def test_fmpy_finds_nothing_wrong(catalogue_fmu: Callable[[str], Path], name: str) -> None:
+    assert fmpy.validation.validate_fmu(str(catalogue_fmu(name))) == []
 
 
 @pytest.mark.parametrize("name", OBSERVERS)

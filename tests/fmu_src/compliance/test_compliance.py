@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from junitparser import JUnitXml
 
+from build_fmus import FMUS
 from fmu_src.compliance.check import check
 from fmu_src.compliance.files.binaries import FOLDERS
 from fmu_src.compliance.files.package import NotAnFmu, open_package
@@ -400,9 +401,7 @@ def test_the_documentation_has_the_rules_as_they_are() -> None:
     }
 
 
-def test_every_fmu_of_the_catalogue_is_sound(catalogue: Path) -> None:
-    fmus = sorted((catalogue / "fmus").glob("*.fmu"))
-    assert fmus
-    result = command(*fmus)
+def test_every_fmu_of_the_catalogue_is_sound(catalogue_fmu: Callable[[str], Path]) -> None:
+    result = command(*map(catalogue_fmu, FMUS))
     assert result.returncode == 0, result.stdout + result.stderr
-    assert len(result.stdout.splitlines()) == len(fmus)
+    assert len(result.stdout.splitlines()) == len(FMUS)

@@ -20,7 +20,8 @@ from test_shell import *  # noqa: F403  its tests run here once more, on the FMU
 from test_shell import CASES, grid
 
 from build_fmus import SYSTEMS, build_all, choose
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
+from conftest import once
 from cosim.master import run as master
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.native.compiler import cache_folder, compile_library
@@ -29,6 +30,7 @@ from observers.instance import Instance
 from observers.model import Model, Variable
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from slave import Slave
 from tools import ROOT
 
 # A PythonFMU's memory is Python's, as its model description says: the importer's callbacks serve nothing.
@@ -38,28 +40,23 @@ Path_of = Callable[[str], Path]
 
 
 @pytest.fixture(scope="session")
-def python_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path_of:
+def python_fmus(shared: Path) -> Path_of:
     """The path of the PythonFMU called `name`, one of COMPONENTS, built at the first call."""
-    folder = tmp_path_factory.mktemp("python")
-    made: dict[str, Path] = {}
 
     def make(name: str) -> Path:
-        if name not in made:
-            made[name] = export(COMPONENTS[name](), folder, target="python")
-        return made[name]
+        folder = once(shared / "python" / name, lambda folder: export(COMPONENTS[name](), folder, target="python"))
+        return next(folder.glob("*.fmu"))
 
     return make
 
 
 @pytest.fixture(scope="session")
-def unpacked(python_fmus: Path_of, tmp_path_factory: pytest.TempPathFactory) -> Path_of:
+def unpacked(python_fmus: Path_of, shared: Path) -> Path_of:
     """The folder with the contents of the PythonFMU called `name`."""
-    made: dict[str, Path] = {}
 
     def unpack(name: str) -> Path:
-        if name not in made:
-            made[name] = Path(fmpy.extract(str(python_fmus(name)), str(tmp_path_factory.mktemp(name))))
-        return made[name]
+        fmu = python_fmus(name)
+        return once(shared / "python_unpacked" / name, lambda folder: fmpy.extract(str(fmu), str(folder)))
 
     return unpack
 
@@ -274,18 +271,17 @@ def largest_difference(native: Path, python: Path) -> float:
 
 
 @pytest.mark.parametrize("name", ["gong_example_2", "closed_loop_motor"])
-def test_a_system_of_python_fmus_gives_the_native_numbers(name: str, catalogue: Path, tmp_path: Path) -> None:
+def test_a_system_of_python_fmus_gives_the_native_numbers(name: str, catalogue_system: Path_of, tmp_path: Path) -> None:
     build_all(choose([name]), tmp_path / "fmus", ["host"], target="python")
-    path = Path("systems") / f"{name}.ssp"
-    assert largest_difference(catalogue / path, tmp_path / path) < (1e-9 if is_noisy(name) else 1e-12)
+    python = tmp_path / "systems" / f"{name}.ssp"
+    assert largest_difference(catalogue_system(name), python) < (1e-9 if is_noisy(name) else 1e-12)
 
 
 @pytest.mark.long
-def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue: Path, tmp_path: Path) -> None:
+def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue_system: Path_of, tmp_path: Path) -> None:
     build_all(choose([]), tmp_path / "fmus", ["host"], target="python")
     differences = {
-        name: largest_difference(catalogue / "systems" / f"{name}.ssp", tmp_path / "systems" / f"{name}.ssp")
-        for name in SYSTEMS
+        name: largest_difference(catalogue_system(name), tmp_path / "systems" / f"{name}.ssp") for name in SYSTEMS
     }
     limits = {name: 1e-9 if is_noisy(name) else 1e-12 for name in SYSTEMS}
     assert {name: value for name, value in differences.items() if not value <= limits[name]} == {}

@@ -33,8 +33,8 @@ def error(result: Result, state: str = "x3") -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", [name for name in nikoukhah_1995.FMUS if name != "sine"])
-def test_fmpy_finds_nothing_wrong_with_the_fmus(catalogue: Path, name: str) -> None:
-    assert fmpy.validation.validate_fmu(str(catalogue / "fmus" / f"{name}.fmu")) == []
+def test_fmpy_finds_nothing_wrong_with_the_fmus(catalogue_fmu: Callable[[str], Path], name: str) -> None:
+    assert fmpy.validation.validate_fmu(str(catalogue_fmu(name))) == []
 
 
 def test_the_motors_hidden_state_converges_as_the_reference_does(example: Example) -> None:

@@ -126,8 +126,8 @@ def test_the_communication_step_does_not_change_the_estimates(example: Callable[
 
 
 @pytest.mark.parametrize("name", [*OBSERVERS, "van_der_pol", "roessler", "ramp"])
-def test_fmpy_finds_nothing_wrong(catalogue: Path, name: str) -> None:
-    assert fmpy.validation.validate_fmu(str(catalogue / "fmus" / f"{name}.fmu")) == []
+def test_fmpy_finds_nothing_wrong(catalogue_fmu: Callable[[str], Path], name: str) -> None:
+    assert fmpy.validation.validate_fmu(str(catalogue_fmu(name))) == []
 
 
 def test_a_saved_state_resumes_bit_for_bit_and_nan_is_counted_and_logged(catalogue_slave: Callable) -> None:
