@@ -22,7 +22,7 @@ from test_shell import CASES, grid
 from build_fmus import SYSTEMS, build_all, choose
 from components import COMPONENTS
 from conftest import once
-from cosim.master import run as master
+from cosim.master import run
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.native.compiler import cache_folder, compile_library
 from fmu_src.python.target import CAPABILITIES
@@ -254,7 +254,7 @@ def test_the_command_line_builds_them_and_names_what_it_does_not_know(tmp_path: 
         assert "resources/component.json" in archive.namelist()
     refused = build_fmus("--target", "java")
     assert refused.returncode == 2
-    assert refused.stderr.strip().splitlines()[-1] == "target 'java' is unknown; known: native, python"
+    assert refused.stderr.strip().splitlines()[-1] == "error: target 'java' is unknown; known: native, python"
 
 
 def is_noisy(name: str) -> bool:
@@ -264,7 +264,7 @@ def is_noisy(name: str) -> bool:
 
 def largest_difference(native: Path, python: Path) -> float:
     """Of any variable at any time, relative to the variable's largest value or 1."""
-    results = [master.run(path) for path in (native, python)]
+    results = [run(path) for path in (native, python)]
     assert results[0].names == results[1].names
     scale = np.maximum(1, np.nanmax(np.abs(results[0].values), axis=0))
     return float(np.nanmax(np.abs(results[0].values - results[1].values) / scale))
