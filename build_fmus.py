@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import runpy
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -147,7 +148,8 @@ def _export_all(
             building(name)
             yield name, _export(source, out, platforms, target)
         return
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+    # Ctrl-C reaches all processes: this one answers, the others finish what they are at.
+    with ProcessPoolExecutor(processes, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
         waiting = {pool.submit(_export_named, name, out, platforms, target): name for name in fmus}
         building(next(iter(fmus)))
         try:

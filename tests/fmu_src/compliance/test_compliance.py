@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 from junitparser import JUnitXml
 
-from build_fmus import FMUS
 from fmu_src.compliance.check import check
 from fmu_src.compliance.files.binaries import FOLDERS
 from fmu_src.compliance.files.package import NotAnFmu, open_package
@@ -399,9 +398,3 @@ def test_the_documentation_has_the_rules_as_they_are() -> None:
     assert {name: (section.strip(), demand.strip()) for name, section, demand in rows} == {
         name: (rule.section, rule.demand) for name, rule in RULES.items()
     }
-
-
-def test_every_fmu_of_the_catalogue_is_sound(catalogue_fmu: Callable[[str], Path]) -> None:
-    result = command(*map(catalogue_fmu, FMUS))
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert len(result.stdout.splitlines()) == len(FMUS)

@@ -25,6 +25,7 @@ from conftest import once
 from cosim.master import run
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.native.compiler import cache_folder, compile_library
+from fmu_src.python import target
 from fmu_src.python.target import CAPABILITIES
 from observers.instance import Instance
 from observers.model import Model, Variable
@@ -238,7 +239,21 @@ def test_unknown_targets_and_platforms_are_named(tmp_path: Path) -> None:
         export(component, tmp_path, target="java")
     with pytest.raises(ExportError, match="PythonFMU has no library for darwin64; it has linux64, win64"):
         export(component, tmp_path, ["darwin64"], target="python")
-    export(component, tmp_path, ["all"], target="python")
+
+
+@pytest.mark.parametrize(
+    "compiled",
+    [
+        pytest.param(False, id="choice"),
+        pytest.param(True, id="compiled", marks=pytest.mark.long),  # zig compiles its C library for Windows once
+    ],
+)
+def test_all_platforms_are_those_that_pythonfmu_has_a_library_for(
+    compiled: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not compiled:
+        monkeypatch.setattr(target, "compile_library", lambda *_: b"")
+    export(plant(DUFFING), tmp_path, ["all"], target="python")
     with zipfile.ZipFile(tmp_path / "duffing.fmu") as archive:
         binaries = {name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/")}
     assert binaries == {"linux64", "win64"}

@@ -8,12 +8,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import fmpy
-import fmpy.validation
 import numpy as np
 import pytest
 
-from build_fmus import FMUS
 from observers.pseudospectral.ports import CODE
 from tools import ROOT, TESTS
 
@@ -25,11 +22,6 @@ def advance(slave, first: int, count: int, h: float = 0.1) -> None:
     for k in range(first, first + count):
         slave.set("y", TRUE[k])
         slave.step(0.1 * k, h)
-
-
-@pytest.mark.parametrize("name", FMUS)
-def test_fmpy_finds_nothing_wrong_with_the_catalogue(catalogue_fmu: Callable[[str], Path], name: str) -> None:
-    assert fmpy.validation.validate_fmu(str(catalogue_fmu(name))) == []
 
 
 @pytest.mark.parametrize("sample", [3, 60])
