@@ -23,7 +23,7 @@ test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/python -m pytest $(MARKED)
+	$(BIN)/python -m pytest -n logical --dist worksteal $(MARKED)
 
 bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python build_fmus.py --only duffing_pseudospectral

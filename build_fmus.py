@@ -11,16 +11,20 @@ python build_fmus.py --target python                   PythonFMUs: for functions
 
 from __future__ import annotations
 
+import os
 import runpy
+import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
 
 from cosim.errors import suggest
 from cosim.system import Element, System, write_ssp
-from fmu_src import export
+from fmu_src import ExportError, export
 from observers.component import Component
 from reference_models import (
     calvillo_alamir,
@@ -114,12 +118,15 @@ def build_all(
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
     target: str = "native",
 ) -> list[Path]:
-    """Write the FMUs into `out` and the systems into the folder `systems` beside it; returns the files."""
+    """Write the FMUs into `out`, on all processors, and the systems into the folder `systems` beside it; returns the files.
+
+    `progress` is told what is being built, how many files are written and how many there will be.
+    """
     total = len(work.fmus) + len(work.systems)
-    written: list[Path] = []
-    for name, (make, driven_by) in work.fmus.items():
-        progress(name, len(written), total)
-        written.append(export(make(), out, platforms, driven_by() if driven_by else None, target))
+    exported: dict[str, Path] = {}
+    for name, path in _export_all(work.fmus, out, platforms, target, lambda name: progress(name, len(exported), total)):
+        exported[name] = path
+    written = [exported[name] for name in work.fmus]
     directory = out.resolve().parent / "systems"
     for name, recipe in work.systems.items():
         progress(name, len(written), total)
@@ -128,6 +135,41 @@ def build_all(
         written.append(path)
     progress("done", total, total)
     return written
+
+
+def _export_all(
+    fmus: dict[str, Source], out: Path, platforms: Sequence[str], target: str, building: Callable[[str], None]
+) -> Iterator[tuple[str, Path]]:
+    """Name and path of each FMU when it is written; `building` is told the name of one that is being built."""
+    processes = min(len(fmus), os.cpu_count() or 1)
+    # Components do not pickle: other processes make them anew, by their names in the catalogue. A user's file runs once.
+    if processes < 2 or not fmus.items() <= FMUS.items():
+        for name, source in fmus.items():
+            building(name)
+            yield name, _export(source, out, platforms, target)
+        return
+    # Ctrl-C reaches all processes: this one answers, the others finish what they are at.
+    with ProcessPoolExecutor(processes, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        waiting = {pool.submit(_export_named, name, out, platforms, target): name for name in fmus}
+        building(next(iter(fmus)))
+        try:
+            for done in as_completed(list(waiting)):
+                yield waiting.pop(done), done.result()
+                if waiting:
+                    building(next(iter(waiting.values())))  # the first that was submitted is being built
+        except BrokenExecutor as error:
+            raise ExportError("a process that built FMUs was ended from outside: memory may have run out") from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _export(source: Source, out: Path, platforms: Sequence[str], target: str) -> Path:
+    make, driven_by = source
+    return export(make(), out, platforms, driven_by() if driven_by else None, target)
+
+
+def _export_named(name: str, out: Path, platforms: Sequence[str], target: str) -> Path:
+    return _export(FMUS[name], out, platforms, target)
 
 
 if __name__ == "__main__":

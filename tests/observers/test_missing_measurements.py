@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import moving_window
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from moving_window import linear
 from observers.canonical_dae import canonical_dae
 from observers.component import Component
@@ -26,6 +26,7 @@ from reference_models.duffing import DUFFING
 from reference_models.motor import MOTOR
 from reference_models.plant import plant
 from reference_models.van_der_pol import VAN_DER_POL_KNOWN
+from slave import Slave
 
 Make = Callable[..., Slave]
 

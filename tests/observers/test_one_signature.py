@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from conftest import Slave
 from fmu_src import export
 from observers.canonical_dae import canonical_dae
 from observers.component import Component
@@ -24,6 +23,7 @@ from observers.riccati import riccati
 from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.motor import MOTOR
+from slave import Slave
 
 TS = 0.1
 A = np.array([[-0.2, 1.0, 0.3], [-1.0, -0.1, 0.0], [0.0, 0.0, 0.0]])  # the last row: an unknown parameter

@@ -15,8 +15,9 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE, fmi2LastSuccessfulTime, fmi2Terminated
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from observers.instance import Instance
+from slave import Slave
 from tools import ROOT, TESTS
 
 Make = Callable[..., Slave]
@@ -370,7 +371,7 @@ def test_instantiation_is_refused_aloud_even_with_logging_off(
 ) -> None:
     seen: list[str] = []
     real = fmi2CallbackLoggerTYPE
-    monkeypatch.setattr("conftest.fmi2CallbackLoggerTYPE", lambda _: real(lambda *call: seen.append(call[4].decode())))
+    monkeypatch.setattr("slave.fmi2CallbackLoggerTYPE", lambda _: real(lambda *call: seen.append(call[4].decode())))
     with pytest.raises(Exception, match="instantiate"):
         Slave(unpacked("sampled_toy"), logging=False, **change)
     assert len(seen) == 1
@@ -471,7 +472,7 @@ RESUME = """
 import sys
 sys.path[:0] = {paths!r}
 from pathlib import Path
-from conftest import Slave
+from slave import Slave
 from test_shell import CASES, grid
 name = {name!r}
 fmu = Slave(Path({folder!r}))

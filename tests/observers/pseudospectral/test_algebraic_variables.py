@@ -64,8 +64,10 @@ def test_example_6_is_exact_from_the_first_estimate_on_every_branch_and_says_whe
     assert re.search(r"the algebraic equations do not determine 'x3' .*smallest pivot of dg/dz", message)
 
 
-def test_example_6_as_a_system_shows_the_algebraic_variable_of_the_current_time(catalogue: Path) -> None:
-    result = run(catalogue / "systems" / "gong_example_6.ssp", stop=3.8)
+def test_example_6_as_a_system_shows_the_algebraic_variable_of_the_current_time(
+    catalogue_system: Callable[[str], Path],
+) -> None:
+    result = run(catalogue_system("gong_example_6"), stop=3.8)
     assert len(result.time) == 20
     for name, true in (("x1", "x.x1"), ("x2", "x.x2"), ("x3", "z.x3")):
         gap = np.abs(result[f"observer.estimate.{name}"] - result[f"plant.{true}"])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from moving_window import NONLINEAR, linear, sampled
 from observers.instance import Instance
 from observers.model import ModelError
@@ -13,6 +13,7 @@ from observers.pseudospectral import pseudospectral
 from observers.pseudospectral.ports import CODE
 from reference_models.duffing import DUFFING, DUFFING_KNOWN
 from reference_models.plant import plant
+from slave import Slave
 
 TS = 0.1
 NOISE = {"y1": 0.3, "y2": 0.5}

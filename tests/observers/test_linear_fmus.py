@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from conftest import Slave
 from linear_models import LARGEST, SAMPLE_TIME, design, entries, kalman, outputs_of
+from slave import Slave
 
 
 def estimates(
