@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from conftest import MOVED, Slave
+from components import MOVED
 from observers.units import common, difference, power, product
+from slave import Slave
 
 
 @pytest.mark.parametrize("name", ["moved_riccati", "moved_least_squares"])
