@@ -79,7 +79,7 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
         ValueError: the file is missing, fails, defines none, or defines two of one name.
     """
     if not path.is_file():
-        raise ValueError(f"{path}: there is no such file")
+        raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'there is no such file'}")
     beside = str(path.resolve().parent)
     sys.path.insert(0, beside)
     try:
@@ -130,8 +130,6 @@ def build_all(
 
 if __name__ == "__main__":
     # The words of the command line call the functions above, not the other way round: they are wanted here only.
-    import typer
+    from commands.app import main
 
-    from commands.build import build
-
-    typer.run(build)
+    main(["build", *sys.argv[1:]])

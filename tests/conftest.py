@@ -24,6 +24,7 @@ import moving_window
 from build_fmus import build_all, choose
 from cosim.master import run
 from cosim.results import Result
+from cosim.system import Element, System, write_ssp
 from fmu_src import export
 from observers.component import Component
 from observers.pseudospectral import pseudospectral
@@ -73,6 +74,17 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         return made[name]
 
     return build
+
+
+@pytest.fixture(scope="session")
+def duffing_system(built: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A system file: the Duffing plant and its pseudospectral observer, 5 s in steps of 0.1 s."""
+    folder = tmp_path_factory.mktemp("duffing_system")
+    observer = export(pseudospectral(DUFFING, sample_time=0.1), folder)
+    elements = {"plant": Element(built("duffing")), "observer": Element(observer, {"guess.x1": 0.5})}
+    system = System("duffing_system", elements, [("plant.y", "observer.y")], stop=5.0, step=0.1)
+    write_ssp(system, folder / "duffing_system.ssp")
+    return folder / "duffing_system.ssp"
 
 
 class Slave:
