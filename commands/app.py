@@ -23,12 +23,12 @@ class _Verbs(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         return list(VERBS)
 
-    def main(self, *args: Any, standalone_mode: bool = True, **extra: Any) -> Any:
+    def main(self, *args: Any, **options: Any) -> Any:
         """As typer's own, but whatever a user gets wrong ends with one line: a wrong word, option or value, a file out of reach."""
-        if not standalone_mode:
-            return super().main(*args, standalone_mode=False, **extra)
+        if not options.setdefault("standalone_mode", True):
+            return super().main(*args, **options)
         try:
-            code = super().main(*args, standalone_mode=False, **extra)
+            code = super().main(*args, **(options | {"standalone_mode": False}))
         except OSError as error:  # what no verb foresaw; where it did, it says what it was doing
             say(f"{error.filename}: {error.strerror}" if error.filename else str(error))
             code = 2
