@@ -85,7 +85,7 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
         ValueError: the file is missing, fails, defines none, or defines two of one name.
     """
     if not path.is_file():
-        raise ValueError(f"{path}: there is no such file")
+        raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'there is no such file'}")
     beside = str(path.resolve().parent)
     sys.path.insert(0, beside)
     try:

@@ -16,7 +16,10 @@ from build_fmus import FMUS, SYSTEMS, Build, build_all
 from components import COMPONENTS
 from cosim.master import run
 from cosim.results import Result
+from cosim.system import Element, System, write_ssp
 from fmu_src import export
+from observers.pseudospectral import pseudospectral
+from reference_models.duffing import DUFFING
 from slave import Slave
 from tools import imports, need
 
@@ -50,6 +53,17 @@ def built(shared: Path) -> Paths:
         return next(folder.glob("*.fmu"))
 
     return build
+
+
+@pytest.fixture(scope="session")
+def duffing_system(built: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A system file: the Duffing plant and its pseudospectral observer, 5 s in steps of 0.1 s."""
+    folder = tmp_path_factory.mktemp("duffing_system")
+    observer = export(pseudospectral(DUFFING, sample_time=0.1), folder)
+    elements = {"plant": Element(built("duffing")), "observer": Element(observer, {"guess.x1": 0.5})}
+    system = System("duffing_system", elements, [("plant.y", "observer.y")], stop=5.0, step=0.1)
+    write_ssp(system, folder / "duffing_system.ssp")
+    return folder / "duffing_system.ssp"
 
 
 @pytest.fixture(scope="session")
