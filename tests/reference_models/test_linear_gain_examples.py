@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 from build_fmus import FMUS, SYSTEMS
 from cosim.results import Result
 from observers.instance import Instance
-from observers.least_squares import observer as least_squares
-from observers.riccati import observer as riccati
+from observers.least_squares import ports as least_squares
+from observers.riccati import ports as riccati
 from observers.riccati.certificates import ANYWHERE
 
 OBSERVERS = ["james_baras_5_1_riccati", "james_baras_5_2_riccati", "chen_yen_least_squares"]
