@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import casadi as ca
 
@@ -48,6 +49,7 @@ class Port(Variable):
     variability: str = "continuous"
     enumeration: Enumeration | None = None
     local: bool = False
+    NEEDS_UNIT: ClassVar[bool] = False
 
 
 def bounds(port: Port) -> tuple[float, float]:

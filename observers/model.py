@@ -17,7 +17,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -49,8 +49,13 @@ class Variable:
     nominal: float = 1.0
     min: float = -math.inf
     max: float = math.inf
+    NEEDS_UNIT: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        if self.NEEDS_UNIT and not self.unit:
+            raise ModelError(
+                f"variable '{self.name}': unit = '' is no unit expression; a number without a unit has '1'"
+            )
         for what in ("start", "nominal"):
             if not math.isfinite(getattr(self, what)):
                 raise ModelError(f"variable '{self.name}': {what} = {getattr(self, what)} is not finite")

@@ -169,7 +169,7 @@ def test_unit_definitions_cover_every_unit() -> None:
     }
 
 
-@pytest.mark.parametrize("unit", ["furlong", "m/s/s", "m s", "m/s.kg", "", "m^2", "m0.5"])
+@pytest.mark.parametrize("unit", ["furlong", "m/s/s", "m s", "m/s.kg", "m^2", "m0.5"])
 def test_a_unit_that_nobody_knows_is_refused_with_its_variable(unit: str) -> None:
     toy = feedthrough_toy()
     port = Port("force", "force", unit)
