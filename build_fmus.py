@@ -16,7 +16,7 @@ import runpy
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -76,8 +76,8 @@ def choose(only: Sequence[str]) -> Build:
     return Build({name: made for name, made in FMUS.items() if not only or name in only or name in needed}, systems)
 
 
-def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]:
-    """The Components at module level of a Python file, by their names.
+def components_of(path: Path) -> dict[str, Source]:
+    """The Components at module level of a Python file, by their names, each with the plant among them that drives it.
 
     Modules beside the file can be imported in it, as when Python runs it.
 
@@ -104,7 +104,20 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
         raise ValueError(
             f"{path} defines no Component at module level, such as observer = pseudospectral(model, sample_time=0.1)"
         )
-    return {name: (_maker(component), None) for name, component in found.items()}
+    return {name: (_maker(component), _driver(component, found.values())) for name, component in found.items()}
+
+
+def _driver(component: Component, among: Iterable[Component]) -> Callable[[], Component] | None:
+    """The plant that drives `component` in its documentation: of those that put out all its measurements, the one it is named after.
+
+    A single one serves whatever its name.
+    """
+    flags = "measurement_valid."
+    measured = {port.name.removeprefix(flags) for port in component.inputs if port.name.startswith(flags)}
+    able = [other for other in among if measured and measured <= {port.name for port in other.outputs}]
+    named = [other for other in able if component.name.startswith(f"{other.name}_")]
+    chosen = max(named, key=lambda other: len(other.name)) if named else able[0] if len(able) == 1 else None
+    return _maker(chosen) if chosen is not None else None
 
 
 def _maker(component: Component) -> Callable[[], Component]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from build_fmus import Build, build_all, choose, components_of
 from commands.console import err, fail
-from fmu_src import ExportError
+from fmu_src import ExportError, ExportWarning
 
 
 def build(
@@ -51,7 +52,11 @@ def build(
             TextColumn("{task.completed}/{task.total}"),
             TimeElapsedColumn(),
         )
-        with Progress(*columns, console=err, disable=not err.is_terminal) as bar:
+        with (
+            warnings.catch_warnings(record=True) as notes,
+            Progress(*columns, console=err, disable=not err.is_terminal) as bar,
+        ):
+            warnings.simplefilter("always", ExportWarning)
             task = bar.add_task("", total=len(work.fmus) + len(work.systems))
             written = build_all(
                 work,
@@ -66,3 +71,5 @@ def build(
         fail(str(error), 2)
     for path in written:
         print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")
+    for note in notes:
+        err.print(f"note: {note.message}", style="yellow", markup=False, highlight=False, soft_wrap=True)

@@ -85,9 +85,12 @@ def last_name(port: Port) -> str:
 
 
 def inputs(model: Model) -> tuple[Port, ...]:
-    """Measurements, then known inputs, by the model's names."""
+    """Measurements, then known inputs, by the model's names. A measurement that nobody connects is that of the start values."""
     return (
-        *(_like(v.name, v, "measured", "continuous") for v in model.outputs),
+        *(
+            replace(_like(v.name, v, "measured", "continuous"), start=start)
+            for v, start in zip(model.outputs, model.output_starts, strict=True)
+        ),
         *(_like(v.name, v, "known input:", "continuous") for v in model.inputs),
     )
 
