@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from observers.component import Component, Failure, Port
+from observers.linearisation import prediction_step
 from observers.model import Model, Variable
 from observers.numerics import noise
-from observers.numerics.runge_kutta import stable_step
-from observers.numerics.semilinear import split
 from reference_models.motion import consistent, move
 
 NEVER = 1e30  # a jump time beyond any run
@@ -41,7 +40,8 @@ def plant(
 
     Args:
         jumps: how many jumps of which unknown parameters.
-        max_step: the longest step of the eighth-order Runge-Kutta method [s]; shortened where the model's constant linear part is stiff.
+        max_step: the longest step of the eighth-order Runge-Kutta method [s]; shortened as
+            `observers.linearisation.prediction_step` says.
         stop_time, step_size: the default experiment [s].
 
     Raises:
@@ -64,7 +64,7 @@ def plant(
     eq = model.equations
     inputs = ca.vertcat(eq.u, eq.w)
     known = ca.vertcat(*[p[f"parameter.{q.name}"] for q in model.parameters])
-    longest = stable_step(split(eq.ode, eq.x, inputs).A, max_step)
+    longest = prediction_step(model, max_step)
     measure = ca.Function("measure", [eq.x, eq.z, inputs, eq.p, eq.theta, eq.t], [eq.output])
 
     def unknown(time: ca.SX) -> ca.SX:

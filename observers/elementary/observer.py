@@ -35,7 +35,7 @@ from observers.elementary.ports import CODE
 from observers.elementary.problems import METHOD, decompose
 from observers.elementary.problems import describe as describe_problems
 from observers.elementary.sample import jump, symbols
-from observers.linearisation import refuse_unobservable
+from observers.linearisation import prediction_step, refuse_unobservable
 from observers.model import Model
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
@@ -125,7 +125,7 @@ def elementary(
         ),
         sample_time="sample_time",
         samples_inputs=True,
-        max_step=max_step,
+        max_step=prediction_step(model, max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),

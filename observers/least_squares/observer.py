@@ -36,7 +36,7 @@ from observers import ports
 from observers.component import Component, Port
 from observers.least_squares import steps
 from observers.least_squares.weights import weights
-from observers.linearisation import Linearisation, linearisation, refuse_unobservable
+from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_unobservable
 from observers.model import Model, ModelError, refuse
 from observers.numerics.finite import HUGE
 
@@ -131,7 +131,7 @@ def least_squares(
         ),
         sample_time="sample_time",
         samples_inputs=True,
-        max_step=max_step,
+        max_step=prediction_step(model, max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),

@@ -147,10 +147,11 @@ def _moved_on(method: Method) -> ca.Function:
     ]
     around, mean, P, x1, S1 = parts
     P = ca.reshape(P, ns, ns)
+    theta = around[nx:] if ns > nx else ca.SX(0, 1)  # an empty slice would be 1 x 0
     y0, there, u0 = ca.SX.sym("y0", ny), ca.SX.sym("valid", ny), ca.SX.sym("u0", nu)
     p, t, z0 = ca.SX.sym("p", problem.n_parameters), ca.SX.sym("t"), ca.SX.sym("z0", len(method.model.algebraic))
     noise, drift = ca.SX.sym("noise", ny), ca.SX.sym("drift", ns)
-    expected, _ = algebraic.measurement(method.equations)(around[:nx], u0, p, around[nx:], t, z0)
+    expected, _ = algebraic.measurement(method.equations)(around[:nx], u0, p, theta, t, z0)
     M = ca.diag(there) @ ca.densify(ca.jacobian(expected, around))
     innovation = ca.if_else(there, y0 - expected - ca.mtimes(M, mean - around), 0)
     PM, R = ca.mtimes(P, M.T), ca.diag(noise**2)
@@ -159,7 +160,7 @@ def _moved_on(method: Method) -> ca.Function:
     left = ca.SX.eye(ns) - ca.mtimes(G, M)
     after = ca.mtimes([left, P, left.T]) + ca.mtimes([G, R, G.T])
     A = ca.vertcat(ca.reshape(S1, nx, ns), ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx)))
-    new_mean = ca.vertcat(x1, around[nx:]) + ca.mtimes(A, corrected - around)
+    new_mean = ca.vertcat(x1, theta) + ca.mtimes(A, corrected - around)
     new_P = ca.mtimes([A, after, A.T]) + ca.diag(drift**2 * problem.segment.sample_time)
     new_P = ca.vec((new_P + new_P.T) / 2)
     arguments = [*parts, y0, there, u0, p, t, z0, noise, drift]

@@ -24,9 +24,9 @@ from collections.abc import Mapping
 
 from observers import ports
 from observers.component import Component
+from observers.linearisation import prediction_step
 from observers.model import Model
 from observers.numerics.layout import Layout
-from observers.numerics.runge_kutta import stable_step
 from observers.numerics.semilinear import lift_inputs
 from observers.pseudospectral import arrival, bounded_noise, memory, moving_horizon, prediction, structure
 from observers.pseudospectral.method import Method
@@ -77,7 +77,8 @@ def pseudospectral(
             of a sample, 0.1 of the nominal value) and `tuning.initial_std.<...>` (that of the guess, the nominal value).
         guess: start values of `guess.*` that differ from the model's.
         name: the component's name; `<model>_pseudospectral` if absent.
-        max_step: the longest prediction step [s] (Dormand-Prince, order 8); shortened where the model's constant linear part is stiff.
+        max_step: the longest prediction step [s] (Dormand-Prince, order 8); shortened as
+            `prediction_step` says.
         stop_time: of the default experiment [s].
 
     Raises:
@@ -134,7 +135,7 @@ def pseudospectral(
         constants=constants(N, L, segments, sample_time),
         sample_time=sample_time,
         samples_inputs=True,
-        max_step=stable_step(problem.segment.split.A, max_step),
+        max_step=prediction_step(model, max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),

@@ -23,7 +23,7 @@ import numpy as np
 
 from observers import ports
 from observers.component import Component, Port
-from observers.linearisation import Linearisation, linearisation, refuse_undetectable
+from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_undetectable
 from observers.model import Model, refuse
 from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
@@ -117,7 +117,7 @@ def riccati(
         constants=certificate_ports(known),
         sample_time="sample_time",
         samples_inputs=True,
-        max_step=max_step,
+        max_step=max_step if stiff else prediction_step(model, max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),

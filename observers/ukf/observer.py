@@ -20,10 +20,8 @@ from collections.abc import Mapping
 
 from observers import ports, units
 from observers.component import Component, Port
-from observers.linearisation import refuse_unobservable
+from observers.linearisation import prediction_step, refuse_unobservable
 from observers.model import Model, refuse
-from observers.numerics.runge_kutta import stable_step
-from observers.numerics.semilinear import split
 from observers.ukf import steps
 
 KAPPA = Port(
@@ -52,7 +50,7 @@ def ukf(
     The arguments that all observers share are explained in `observers.ports`.
 
     Args:
-        max_step: the longest prediction step [s]; shortened where the model's constant linear part is stiff.
+        max_step: the longest prediction step [s]; shortened as `prediction_step` says.
 
     Raises:
         ModelError: algebraic variables or unknown disturbances, a state or unknown parameter that no output can ever see, a deviation of
@@ -62,7 +60,7 @@ def ukf(
     refuse(model, "ukf", "algebraic", "unknown_disturbances")
     refuse_unobservable(model, "ukf")
     period = ports.sample_time("ukf", sample_time)
-    eq, estimated = model.equations, (*model.states, *model.unknown_parameters)
+    estimated = (*model.states, *model.unknown_parameters)
     tuning = (
         *ports.deviations("ukf", "process_noise", ports.PROCESS_NOISE, estimated, process_noise, 1e-3),
         *ports.deviations("ukf", "measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, measurement_noise, 0.1),
@@ -96,7 +94,7 @@ def ukf(
         ),
         sample_time="sample_time",
         samples_inputs=True,
-        max_step=stable_step(split(eq.ode, eq.x, eq.u).A, max_step),
+        max_step=prediction_step(model, max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
