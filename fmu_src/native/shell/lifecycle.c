@@ -131,7 +131,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
                stopTime, startTime);
         return fmi2Error;
     }
-    self->run.t0 = self->run.time = startTime;
+    self->run.clock = clock_at(startTime, 0);
     self->run.stop_time_defined = stopTimeDefined != fmi2False;
     self->run.stop_time = stopTimeDefined ? stopTime : 0;
     self->run.is_set_up = 1;
@@ -160,8 +160,8 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     if (!refresh_start(self))
         return fmi2Error;
     self->run.lifecycle = STEP_COMPLETE;
-    report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name, self->run.t0,
-           self->run.sample_time);
+    report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name,
+           self->run.clock.t0, self->run.clock.sample_time);
     return fmi2OK;
 }
 
@@ -171,7 +171,7 @@ fmi2Status fmi2Terminate(fmi2Component c)
     if (!allowed(self, "fmi2Terminate", STEP_COMPLETE))
         return fmi2Error;
     self->run.lifecycle = TERMINATED;
-    report(self, fmi2OK, LOG_EVENTS, "%s: terminated at t = %.15g.", component.name, self->run.time);
+    report(self, fmi2OK, LOG_EVENTS, "%s: terminated at t = %.15g.", component.name, clock_time(&self->run.clock));
     return fmi2OK;
 }
 

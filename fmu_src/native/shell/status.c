@@ -11,6 +11,13 @@ fmi2Status fmi2CancelStep(fmi2Component c)
     return fmi2Error;
 }
 
+static bool has_place(Instance *self, const char *function, const void *value)
+{
+    if (!value)
+        report(self, fmi2Error, LOG_ERROR, "%s: the place for the value is a null pointer.", function);
+    return value != NULL;
+}
+
 /* fmi2Discard is the standard's answer where the asked status does not exist. */
 static fmi2Status no_such_status(Instance *self, const char *function, fmi2StatusKind kind)
 {
@@ -32,9 +39,9 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
     Instance *self = c;
     if (s != fmi2LastSuccessfulTime)
         return no_such_status(self, "fmi2GetRealStatus", s);
-    if (!allowed(self, "fmi2GetRealStatus", STEP_COMPLETE | TERMINATED) || !value)
+    if (!allowed(self, "fmi2GetRealStatus", STEP_COMPLETE | TERMINATED) || !has_place(self, "fmi2GetRealStatus", value))
         return fmi2Error;
-    *value = self->run.time;
+    *value = clock_time(&self->run.clock);
     return fmi2OK;
 }
 
@@ -49,7 +56,8 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
     Instance *self = c;
     if (s != fmi2Terminated)
         return no_such_status(self, "fmi2GetBooleanStatus", s);
-    if (!allowed(self, "fmi2GetBooleanStatus", STEP_COMPLETE | TERMINATED) || !value)
+    if (!allowed(self, "fmi2GetBooleanStatus", STEP_COMPLETE | TERMINATED) ||
+        !has_place(self, "fmi2GetBooleanStatus", value))
         return fmi2Error;
     *value = fmi2False; /* the component itself never asks to end a simulation */
     return fmi2OK;

@@ -60,6 +60,17 @@ static bool can_get(Instance *self, const char *function, const fmi2ValueReferen
     return !outputs || refresh_outputs(self);
 }
 
+/* An output that is not finite because an input that feeds it is not: the importer gets it, but not silently. */
+static fmi2Status warn_of_value(Instance *self, fmi2ValueReference reference)
+{
+    double value = 0;
+    const char *input = bad_input(self, &value);
+    report(self, fmi2Warning, LOG_WARNING, "%s: the output %s is %g at t = %.15g, where the input %s is %g.",
+           component.name, component.variables[reference].name, self->values[reference],
+           clock_time(&self->run.clock), input ? input : "(none)", value);
+    return fmi2Warning;
+}
+
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
 {
     Instance *self = c;
@@ -67,6 +78,9 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
         value[i] = self->values[vr[i]];
+    for (size_t i = 0; i < nvr; i++)
+        if (component.variables[vr[i]].role == OUTPUT && !isfinite(value[i]))
+            return warn_of_value(self, vr[i]);
     return fmi2OK;
 }
 
@@ -109,6 +123,10 @@ static bool can_set(Instance *self, const char *function, fmi2ValueReference ref
     case CONSTANT:
         report(self, fmi2Error, LOG_ERROR, "%s: %s is %s, it cannot be set (to %.10g).", function, variable->name,
                variable->role == OUTPUT ? "an output" : "a constant", value);
+        return false;
+    }
+    if (isinf(value)) {
+        report(self, fmi2Error, LOG_ERROR, "%s: %s = %g must be finite.", function, variable->name, value);
         return false;
     }
     if (variable->min <= value && value <= variable->max)

@@ -100,7 +100,7 @@ def test_start_time_other_than_zero_shifts_the_sample_instants(slave: Make) -> N
         assert fmu.get("filtered.level") == face.get("filtered.level")
 
 
-@pytest.mark.parametrize("sample_time", [1e-12, 9.9e-7, math.inf])
+@pytest.mark.parametrize("sample_time", [1e-12, 9.9e-7])
 def test_an_impossible_sample_time_is_refused_by_both_faces(slave: Make, sample_time: float) -> None:
     fmu = slave("duffing")
     fmu.set("sensor.sample_time", sample_time)
@@ -318,7 +318,7 @@ def test_an_input_that_makes_the_state_not_finite_is_named_by_both_faces(slave: 
 
 def test_start_values_without_a_finite_state_are_refused(slave: Make) -> None:
     fmu = slave("growing_toy")
-    fmu.set("start.z", math.inf)
+    fmu.set("start.z", 1e308)
     fmu.fmu.setupExperiment()
     fmu.fmu.enterInitializationMode()
     assert "no finite state" in fmu.refuses(fmu.fmu.exitInitializationMode)
