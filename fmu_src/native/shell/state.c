@@ -6,7 +6,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "instance.h"
+#include "border.h"
 
 #define MAGIC UINT64_C(0x323053554d46534f) /* "OSFMUS02" on a little-endian machine */
 
@@ -181,13 +181,11 @@ static bool is_sound(Instance *self, const char *function, const char *block)
     return false;
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate)
+fmi2Status set_state(Instance *self, const char *block)
 {
-    Instance *self = c;
-    if (!allowed(self, "fmi2SetFMUstate", ANY_STATE) || !is_ours(self, "fmi2SetFMUstate", FMUstate) ||
-        !is_sound(self, "fmi2SetFMUstate", FMUstate))
+    if (!allowed(self, "fmi2SetFMUstate", ANY_STATE) || !is_ours(self, "fmi2SetFMUstate", block) ||
+        !is_sound(self, "fmi2SetFMUstate", block))
         return fmi2Error;
-    const char *block = FMUstate;
     Header header;
     memcpy(&header, block, sizeof header);
     block += sizeof header;
@@ -241,10 +239,8 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
     return fmi2OK;
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
-                                   fmi2FMUstate *FMUstate)
+fmi2Status deserialize_state(Instance *self, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
-    Instance *self = c;
     if (!allowed(self, "fmi2DeSerializeFMUstate", ANY_STATE))
         return fmi2Error;
     if (size != state_bytes()) {
@@ -252,19 +248,19 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
                (unsigned long)size, component.name, (unsigned long)state_bytes());
         return fmi2Error;
     }
-    if (!is_ours(self, "fmi2DeSerializeFMUstate", serializedState))
+    if (!is_ours(self, "fmi2DeSerializeFMUstate", bytes))
         return fmi2Error;
     Header header;
-    memcpy(&header, serializedState, sizeof header);
-    if (header.checksum != payload_checksum(serializedState)) {
+    memcpy(&header, bytes, sizeof header);
+    if (header.checksum != payload_checksum(bytes)) {
         report(self, fmi2Error, LOG_ERROR, "fmi2DeSerializeFMUstate: the bytes are damaged, their checksum differs.");
         return fmi2Error;
     }
-    if (!is_sound(self, "fmi2DeSerializeFMUstate", serializedState))
+    if (!is_sound(self, "fmi2DeSerializeFMUstate", bytes))
         return fmi2Error;
-    void *block = provide(self, "fmi2DeSerializeFMUstate", FMUstate);
+    void *block = provide(self, "fmi2DeSerializeFMUstate", state);
     if (!block)
         return fmi2Error;
-    memcpy(block, serializedState, size);
+    memcpy(block, bytes, size);
     return fmi2OK;
 }

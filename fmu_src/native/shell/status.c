@@ -1,6 +1,6 @@
 /* What an importer may ask between steps. fmi2DoStep is synchronous: no step is ever pending, so there is none to
    cancel or to report on. */
-#include "instance.h"
+#include "border.h"
 
 fmi2Status fmi2CancelStep(fmi2Component c)
 {
@@ -34,9 +34,8 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *va
     return no_such_status(c, "fmi2GetStatus", s);
 }
 
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value)
+fmi2Status get_real_status(Instance *self, fmi2StatusKind s, fmi2Real *value)
 {
-    Instance *self = c;
     if (s != fmi2LastSuccessfulTime)
         return no_such_status(self, "fmi2GetRealStatus", s);
     if (!allowed(self, "fmi2GetRealStatus", STEP_COMPLETE | TERMINATED) || !has_place(self, "fmi2GetRealStatus", value))

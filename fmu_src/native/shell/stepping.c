@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "instance.h"
+#include "border.h"
 
 #define MOST_SUBSTEPS 1e6 /* in one step: nothing can interrupt them */
 
@@ -167,23 +167,20 @@ static void report_state(Instance *self, const double *z, double t, double end)
                component.name, t, end);
 }
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
-                      fmi2Boolean noSetFMUStatePriorToCurrentPoint)
+fmi2Status do_step(Instance *self, double t, double h)
 {
-    Instance *self = c;
-    (void)noSetFMUStatePriorToCurrentPoint;
     if (!allowed(self, "fmi2DoStep", STEP_COMPLETE))
         return fmi2Error;
     Run *run = &self->run;
     Clock after;
-    if (!legal_step(self, currentCommunicationPoint, communicationStepSize, &after))
+    if (!legal_step(self, t, h, &after))
         return fmi2Error;
     Pair pair = {self->z, self->scratch[0]};
     if (!advance(self, &pair, &after))
         return fmi2Error;
     double end = clock_time(&after);
     if (has_failed(pair.z) || !all_finite(pair.z, component.n_states)) {
-        report_state(self, pair.z, currentCommunicationPoint, end);
+        report_state(self, pair.z, t, end);
         return fmi2Error;
     }
     if (!evaluate_outputs(self, pair.z, end))

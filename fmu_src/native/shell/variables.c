@@ -3,7 +3,7 @@
 #include <limits.h>
 #include <math.h>
 
-#include "instance.h"
+#include "border.h"
 
 #define N_VARIABLES (component.n_inputs + component.n_parameters + component.n_outputs + component.n_constants)
 #define SETTABLE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE)
@@ -71,9 +71,8 @@ static fmi2Status warn_of_value(Instance *self, fmi2ValueReference reference)
     return fmi2Warning;
 }
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
+fmi2Status get_real(Instance *self, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
 {
-    Instance *self = c;
     if (!can_get(self, "fmi2GetReal", vr, nvr, value, REAL))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
@@ -84,9 +83,8 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     return fmi2OK;
 }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
+fmi2Status get_integer(Instance *self, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
 {
-    Instance *self = c;
     if (!can_get(self, "fmi2GetInteger", vr, nvr, value, INTEGER))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
@@ -144,9 +142,8 @@ static void was_set(Instance *self)
         self->stale_start = true;
 }
 
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
+fmi2Status set_real(Instance *self, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
 {
-    Instance *self = c;
     if (!allowed(self, "fmi2SetReal", SETTABLE) || !has_pointers(self, "fmi2SetReal", nvr, vr, value))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
@@ -158,9 +155,8 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nv
     return fmi2OK;
 }
 
-fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[])
+fmi2Status set_integer(Instance *self, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[])
 {
-    Instance *self = c;
     if (!allowed(self, "fmi2SetInteger", SETTABLE) || !has_pointers(self, "fmi2SetInteger", nvr, vr, value))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
@@ -172,9 +168,8 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
+fmi2Status get_boolean(Instance *self, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
 {
-    Instance *self = c;
     if (!can_get(self, "fmi2GetBoolean", vr, nvr, value, BOOLEAN))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
@@ -182,9 +177,8 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[])
+fmi2Status set_boolean(Instance *self, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[])
 {
-    Instance *self = c;
     if (!allowed(self, "fmi2SetBoolean", SETTABLE) || !has_pointers(self, "fmi2SetBoolean", nvr, vr, value))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
