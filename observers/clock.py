@@ -5,7 +5,7 @@ it, relative, else as it is; and the end of a step within 1e-6 Ts (1 us, if that
 master that steps by h = Ts (1 +- 1e-6) takes one sample a step for as long as the run goes, and masters that add up, multiply or round
 their times get the same bits: the times that the component sees come from the count.
 
-Differences of large times are rounded to more than 1e-6 Ts (Ts = 1 ms at 1.7e9 s: 2e-4). Within their rounding h counts as m Ts or Ts/n,
+Differences of large times are rounded to more than 1e-6 Ts (Ts = 1 ms at 1.7e9 s: 8e-4). Within their rounding h counts as m Ts or Ts/n,
 and an end of other steps nearby is the instant as well, but its distance is carried into the next step: such steps follow the
 master's times.
 
@@ -25,8 +25,8 @@ import numpy as np
 NANOSECONDS = 1e9  # times between sample instants are counted in these
 SNAP = 1e-6  # relative: steps closer than this are the same; of a sample time or of a second: instants closer than this are
 ROUNDING = 1e-10  # of a unit: what sums of fractions of it may be off by
-EPSILON = float(np.finfo(float).eps)
-RESOLUTION = 4 * EPSILON  # of a time: what two masters' sums for it may differ by
+RESOLUTION = 4 * float(np.finfo(float).eps)  # of a time: what two masters' sums for it may differ by
+COARSE = 0.01  # of a sample time: where RESOLUTION exceeds this, sample instants cannot be told apart
 SIMPLE = 1e4  # the largest product of numerator and denominator of a simple fraction
 LARGEST = 2.0**53  # units: beyond, doubles do not count
 
@@ -99,6 +99,19 @@ class Clock:
             phase, carry = sum_ - whole, 0.0
         return Clock(self.t0, self.sample_time, t + h, self.whole + int(whole), phase, carry, self.steps + 1, h)
 
+    def is_sound(self) -> bool:
+        """Can this be a clock? A state from outside may hold anything."""
+        return (
+            0 <= self.steps < LARGEST
+            and 0 <= self.whole < LARGEST
+            and 0 <= self.phase < 1
+            and abs(self.carry) <= COARSE
+            and all(map(math.isfinite, (self.t0, self.label, self.step)))
+            and self.step >= 0
+            and (self.step > 0) == (self.steps > 0)
+            and math.isfinite(self.time)
+        )
+
     def error_of(self, t: float, h: float) -> float:
         """By how many steps of h the label t is wrong; 0 if it is not."""
         known = min(h, self.step) if self.steps > 0 else h
@@ -115,7 +128,7 @@ class Clock:
 def _share(h: float, t: float, sample_time: float) -> float:
     """h in units, rounded to what it most likely means."""
     unit = sample_time if sample_time > 0 else 1.0
-    x, noise = h / unit, EPSILON * abs(t) / unit  # h may be a difference of rounded times
+    x, noise = h / unit, RESOLUTION / 2 * abs(t + h) / unit  # h may be a difference of times, each a rounded sum
     tolerance = SNAP * x if sample_time > 0 else min(SNAP * x, 1 / NANOSECONDS + noise)
     simple = _simplest(x, tolerance)
     if simple > 0:

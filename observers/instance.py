@@ -15,10 +15,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers.clock import NANOSECONDS, RESOLUTION, SNAP, Clock
+from observers.clock import COARSE, NANOSECONDS, RESOLUTION, SNAP, Clock
 from observers.component import Component, bounds, check_sample_time
 
-COARSE = 0.01  # of a sample time: where RESOLUTION exceeds this, sample instants cannot be told apart
 MOST_SUBSTEPS = 1e6  # in one step: nothing can interrupt them
 
 
@@ -68,7 +67,7 @@ class Instance:
         self.clock = Clock(t0, self.sample_time, label=t0)
         self.stop = stop
         self.z = self._evaluate["start"](self.p, t0)
-        if failure := self._failure(self.z):
+        if failure := self.failure(self.z):
             raise ValueError(f"{failure}, for the start values")
         if not np.all(np.isfinite(self.z)):
             raise ValueError(f"{component.name}: the start values give no finite state at t = {t0:g}")
@@ -135,9 +134,9 @@ class Instance:
             if component.jump is not None:
                 z = self._evaluate["jump"](z, self._inputs(derivatives, tick), self.p, self.clock.t0 + tick)
         z = self._flow(z, now, clock.elapsed, derivatives)
-        failure = self._failure(z)
+        failure = self.failure(z)
         if failure or not np.all(np.isfinite(z)):
-            cause = self._bad_input()
+            cause = self.bad_input()
             if failure and not cause:
                 raise ValueError(failure)
             raise ValueError(
@@ -186,7 +185,7 @@ class Instance:
             )
         return after
 
-    def _bad_input(self) -> str:
+    def bad_input(self) -> str:
         """Which input is not finite; empty if all are."""
         for name, i in self._u_index.items():
             if not np.isfinite(self.u[i]):
@@ -196,12 +195,12 @@ class Instance:
     def _outputs(self, z: np.ndarray, time: float) -> np.ndarray:
         y = self._evaluate["output"](z, self.u, self.p, time)
         bad = np.flatnonzero(~np.isfinite(y))
-        if bad.size and not self._bad_input():
+        if bad.size and not self.bad_input():
             name = self.component.outputs[bad[0]].name
             raise ValueError(f"{self.component.name}: the output {name} is {y[bad[0]]:g} at t = {time:.15g}")
         return y
 
-    def _failure(self, z: np.ndarray) -> str:
+    def failure(self, z: np.ndarray) -> str:
         """What the component says of a motion that could not go on; empty where it could."""
         failures = self.component.failures
         if not failures or z[-3] == 0:

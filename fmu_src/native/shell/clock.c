@@ -69,7 +69,7 @@ static double simplest(double x, double tolerance)
 static double share_of(const Clock *clock, double t, double h)
 {
     bool sampled = clock->sample_time > 0;
-    double unit = unit_of(clock), x = h / unit, noise = DBL_EPSILON * fabs(t) / unit;
+    double unit = unit_of(clock), x = h / unit, noise = RESOLUTION / 2 * fabs(t + h) / unit;
     double simple = simplest(x, sampled ? SNAP * x : fmin(SNAP * x, 1 / NANOSECONDS + noise));
     if (simple > 0)
         return simple;
