@@ -36,6 +36,11 @@ bool has_failed(const double *z)
 void report_failure(Instance *self, const double *z, const char *occasion)
 {
     const double *last = z + component.n_states - 3;
+    if (!(last[0] >= 1 && last[0] <= (double)component.n_failures)) { /* none of the component's own */
+        report(self, fmi2Error, LOG_ERROR, "%s: the motion ended with the unknown code %g%s.", component.name, last[0],
+               occasion);
+        return;
+    }
     const Failure *failure = component.failures + (size_t)last[0] - 1;
     report(self, fmi2Error, LOG_ERROR, "%s: %s at t = %.10g, where %s is %.4g%s.", component.name, failure->what,
            last[1], failure->measure, last[2], occasion);
@@ -57,7 +62,7 @@ bool refresh_start(Instance *self)
         return false;
     }
     self->arg[0] = self->p;
-    self->arg[1] = &run->t0;
+    self->arg[1] = &run->clock.t0;
     self->res[0] = self->scratch[0];
     int unevaluated = component.start(self->arg, self->res, self->iw, self->w, 0);
     if (unevaluated == 0 && has_failed(self->scratch[0])) {
@@ -66,17 +71,15 @@ bool refresh_start(Instance *self)
     }
     if (unevaluated != 0 || !all_finite(self->scratch[0], component.n_states)) {
         report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g.", component.name,
-               run->t0);
+               run->clock.t0);
         return false;
     }
     double *z = self->z;
     self->z = self->scratch[0];
     self->scratch[0] = z;
-    run->time = run->t0;
-    run->ticks = 0;
-    run->sample_time = sample_time;
+    run->clock = clock_at(run->clock.t0, sample_time);
     for (size_t i = 0; i < component.n_breaks; i++) { /* insertion sort: a handful of times, once */
-        double instant = self->p[component.breaks[i]];
+        double instant = self->p[component.breaks[i]] - run->clock.t0;
         size_t k = i;
         for (; k > 0 && self->breaks[k - 1] > instant; k--)
             self->breaks[k] = self->breaks[k - 1];
@@ -87,7 +90,20 @@ bool refresh_start(Instance *self)
     return true;
 }
 
-/* y = output(z, u, p, time). False, with a message, where it cannot be evaluated. */
+/* The name and value of an input that is not finite, or NULL. */
+const char *bad_input(const Instance *self, double *value)
+{
+    for (size_t i = 0; i < component.n_inputs; i++) {
+        if (!isfinite(self->u[i])) {
+            *value = self->u[i];
+            return component.variables[i].name;
+        }
+    }
+    return NULL;
+}
+
+/* y = output(z, u, p, time). False, with a message, where it cannot be evaluated or is not finite though all inputs are;
+   an input that is not may show in an output that it feeds. */
 bool evaluate_outputs(Instance *self, const double *z, double time)
 {
     self->arg[0] = z;
@@ -101,6 +117,15 @@ bool evaluate_outputs(Instance *self, const double *z, double time)
                time);
         return false;
     }
+    double value;
+    if (!all_finite(self->y, component.n_outputs) && !bad_input(self, &value)) {
+        size_t i = 0;
+        while (isfinite(self->y[i]))
+            i++;
+        report(self, fmi2Error, LOG_ERROR, "%s: the output %s is %g at t = %.15g.", component.name,
+               component.variables[component.n_inputs + component.n_parameters + i].name, self->y[i], time);
+        return false;
+    }
     self->stale_outputs = false;
     return true;
 }
@@ -108,5 +133,5 @@ bool evaluate_outputs(Instance *self, const double *z, double time)
 /* The outputs at the current time, unless they are up to date. */
 bool refresh_outputs(Instance *self)
 {
-    return refresh_start(self) && (!self->stale_outputs || evaluate_outputs(self, self->z, self->run.time));
+    return refresh_start(self) && (!self->stale_outputs || evaluate_outputs(self, self->z, clock_time(&self->run.clock)));
 }
