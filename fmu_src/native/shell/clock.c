@@ -15,32 +15,6 @@ Clock clock_at(double t0, double sample_time)
     return clock;
 }
 
-static double unit_of(const Clock *clock)
-{
-    return clock->sample_time > 0 ? clock->sample_time : 1;
-}
-
-double elapsed(const Clock *clock)
-{
-    double unit = unit_of(clock), last = (double)clock->whole * unit;
-    if (clock->phase == 0)
-        return last;
-    double rounded = rint(((double)clock->whole + clock->phase) * unit * NANOSECONDS) / NANOSECONDS;
-    return fmin(fmax(rounded, last), (double)(clock->whole + 1) * unit);
-}
-
-double clock_time(const Clock *clock)
-{
-    return clock->t0 + elapsed(clock);
-}
-
-int64_t clock_ticks(const Clock *clock)
-{
-    if (clock->sample_time == 0)
-        return 0;
-    return clock->phase > 0 ? clock->whole + 1 : clock->whole;
-}
-
 /* How far the end of a step may lie from a sample instant and still be it, whatever the size of times [units]. */
 static double slack(const Clock *clock)
 {
@@ -70,6 +44,8 @@ static double share_of(const Clock *clock, double t, double h)
 {
     bool sampled = clock->sample_time > 0;
     double unit = unit_of(clock), x = h / unit, noise = RESOLUTION / 2 * fabs(t + h) / unit;
+    if (sampled && fabs(x - 1) <= SNAP * x)
+        return 1; /* by far the most common; what follows says the same */
     double simple = simplest(x, sampled ? SNAP * x : fmin(SNAP * x, 1 / NANOSECONDS + noise));
     if (simple > 0)
         return simple;

@@ -3,6 +3,7 @@
 #define CLOCK_H
 
 #include <float.h>
+#include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
 
@@ -25,9 +26,35 @@ typedef struct {
 } Clock;
 
 Clock clock_at(double t0, double sample_time);
-double elapsed(const Clock *clock);       /* since t0 [s], to whole nanoseconds between sample instants */
-double clock_time(const Clock *clock);    /* [s] */
-int64_t clock_ticks(const Clock *clock);  /* sample instants before this one: the next is t0 + ticks * sample_time */
+/* [s]; inline, for every step asks several times */
+static inline double unit_of(const Clock *clock)
+{
+    return clock->sample_time > 0 ? clock->sample_time : 1;
+}
+
+/* Since t0 [s], to whole nanoseconds between sample instants. */
+static inline double elapsed(const Clock *clock)
+{
+    double unit = unit_of(clock), last = (double)clock->whole * unit;
+    if (clock->phase == 0)
+        return last;
+    double rounded = rint(((double)clock->whole + clock->phase) * unit * NANOSECONDS) / NANOSECONDS;
+    return fmin(fmax(rounded, last), (double)(clock->whole + 1) * unit);
+}
+
+/* [s] */
+static inline double clock_time(const Clock *clock)
+{
+    return clock->t0 + elapsed(clock);
+}
+
+/* Sample instants before this one: the next is t0 + ticks * sample_time. */
+static inline int64_t clock_ticks(const Clock *clock)
+{
+    if (clock->sample_time == 0)
+        return 0;
+    return clock->phase > 0 ? clock->whole + 1 : clock->whole;
+}
 
 /* The clock after a step of h that the importer says begins at t. False where it does not count that far. */
 bool clock_after(const Clock *clock, double t, double h, Clock *after);

@@ -21,10 +21,10 @@ void set_defaults(Instance *self)
 
 bool all_finite(const double *values, size_t n)
 {
-    int bad = 0;
+    double none = 0; /* a number less itself is 0, anything else NaN: a third of the instructions of isfinite */
     for (size_t i = 0; i < n; i++)
-        bad |= !isfinite(values[i]);
-    return !bad;
+        none += values[i] - values[i];
+    return none == 0;
 }
 
 /* Whether the component says that its motion cannot go on; see component.h. */

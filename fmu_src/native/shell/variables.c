@@ -78,7 +78,7 @@ fmi2Status get_real(Instance *self, const fmi2ValueReference vr[], size_t nvr, f
     for (size_t i = 0; i < nvr; i++)
         value[i] = self->values[vr[i]];
     for (size_t i = 0; i < nvr; i++)
-        if (component.variables[vr[i]].role == OUTPUT && !isfinite(value[i]))
+        if (!isfinite(value[i]) && component.variables[vr[i]].role == OUTPUT)
             return warn_of_value(self, vr[i]);
     return fmi2OK;
 }
