@@ -10,9 +10,10 @@ MARKED := $(if $(CI),,-m "not long")
 COMMA := ,
 EXTRAS := test$(if $(CI),$(COMMA)masters)
 READY := $(VENV)/ready$(if $(CI),-ci)
+FUZZ_SECONDS := 300
 AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
-.PHONY: demo test bench setup ci-tools lock clean
+.PHONY: demo test bench fuzz setup ci-tools lock clean
 
 demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3 and 6, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
@@ -32,6 +33,9 @@ bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python -m benchmarks.linear_gain
 	$(BIN)/python -m benchmarks.elementary
 
+fuzz: setup ## fuzz the FMUs' C for FUZZ_SECONDS (clang's libFuzzer and sanitizers: make ci-tools)
+	$(BIN)/python tests/fuzz/fuzz_fmus.py $(FUZZ_SECONDS) build/fuzz
+
 setup: $(READY)
 
 $(READY): pyproject.toml constraints.txt
@@ -39,10 +43,13 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
-ci-tools: ## Debian packages: wine runs the Windows binaries, Ecos needs libtbb12
-	test -x /usr/lib/wine/wine64 -a -n "$$(/sbin/ldconfig -p | grep -F libtbb.so.12)" || { \
+# Wine runs the Windows binaries, qemu the ARM ones; gcc and tcc compile the sources; clang fuzzes; Ecos needs libtbb12.
+CI_PACKAGES := wine64 wine libtbb12 qemu-user libc6-arm64-cross gcc libc6-dev tcc clang libclang-rt-14-dev
+
+ci-tools: ## Debian packages of other people's tools
+	dpkg-query --show --showformat='$${db:Status-Status}\n' $(CI_PACKAGES) 2>&1 | grep -Fvqx installed || exit 0; \
 	    $(AS_ROOT) apt-get update && \
-	    $(AS_ROOT) apt-get install --yes --no-install-recommends wine64 wine libtbb12; }
+	    $(AS_ROOT) apt-get install --yes --no-install-recommends $(CI_PACKAGES)
 
 lock: ## renew constraints.txt: the newest versions that pyproject.toml allows
 	rm -rf $(LOCKED)

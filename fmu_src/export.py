@@ -15,7 +15,7 @@ from fmu_src.documentation import pages as documentation
 from fmu_src.documentation.reference import reference_files
 from fmu_src.errors import ExperimentFailed, ExportError, ExportWarning
 from fmu_src.native.compiler import compile_library
-from fmu_src.native.sources import fixed_sources, functions, tables
+from fmu_src.native.sources import fixed_sources, functions, prefix, tables
 from fmu_src.platforms import PLATFORMS, resolve
 from fmu_src.python import target as python_target
 from observers.component import Component
@@ -61,7 +61,7 @@ def export(
 def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
     """GUID and contents by path."""
     folders = resolve(platforms)
-    constant = fixed_sources() | functions(component)
+    constant = fixed_sources() | prefix(component) | functions(component)
     source_files = sorted(name for name in [*constant, "component.c"] if name.endswith(".c"))
     without_guid = {
         **constant,

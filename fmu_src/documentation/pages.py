@@ -33,7 +33,10 @@ _BINARIES = {
     "native": f"""<h2>Binaries and sources</h2>
 <p>Binaries are under <code>binaries/</code>, for one or more of {", ".join(PLATFORMS)}.
 For any other platform <code>sources/</code> holds everything: it is C99 with the C library and libm only. Compile with
-<code>cc -std=c99 -O2 -ffp-contract=off -fPIC -fvisibility=hidden -shared *.c -lm</code>.""",
+<code>cc -std=c99 -O2 -ffp-contract=off -fPIC -shared *.c -lm</code>. To link several FMUs into one program, compile each with
+<code>-DFMI2_FUNCTION_PREFIX=</code>, the model's identifier and an underscore: every name then begins with them.
+<code>sources/embedded/</code> shows how to run it on a micro-controller, without FMI. Never compile with
+<code>-ffast-math</code>: NaN and infinity must be told from numbers.""",
     "python": """<h2>Binaries and resources</h2>
 <p><code>resources/</code> holds the component as serialised CasADi functions and <code>component.json</code>, and the modules
 that run it. Under <code>binaries/</code> PythonFMU's library stands beside a small one that relays the calls to it.""",

@@ -1,9 +1,13 @@
-"""The C sources of an FMU: CasADi's functions, the component's tables, the shell and FMI's headers."""
+"""The C sources of an FMU: CasADi's functions, the component's tables, the shell and FMI's headers.
+
+Every name that the linker sees begins with the model's identifier, so that the sources of several FMUs fit into one program.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 import tempfile
 from importlib.resources import files
 from pathlib import Path
@@ -19,10 +23,72 @@ EXTERNAL = (
     "/* External functions */"  # CasADi's comment above the declarations of functions that are linked from elsewhere
 )
 
-# CasADi gives every function the same five arguments, whether it needs them or not.
-_CASADI_WARNINGS = b"""\
+# CasADi gives every function the same five arguments, whether it needs them or not, and leaves addresses of what was local
+# in arrays that nobody reads again. Its code comes after the system's header, whose functions are not ours to hide.
+_CASADI_HEAD = """\
+#include <math.h>
+
+#include "prefix.h"
+
 #if defined __GNUC__
 #pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+#if defined __GNUC__ && !defined __clang__ && __GNUC__ >= 12
+#pragma GCC diagnostic ignored "-Wdangling-pointer"
+#endif
+BEGIN_INTERNAL
+"""
+_CASADI_TAIL = "END_INTERNAL\n"
+
+# In fmpy's copy of the standard's header: the part that it says to have changed, "to add no prefix".
+_UNPREFIXED = re.compile(r"/\*\s*Export FMI2 API functions.*?#define fmi2FullName\(name\) name\n", re.S)
+# What the header of FMI 2.0.4 says there.
+_PREFIXED = """\
+/* Allow override of FMI2_FUNCTION_PREFIX: if FMI2_OVERRIDE_FUNCTION_PREFIX is defined, then there is no prefix. */
+#if !defined(FMI2_OVERRIDE_FUNCTION_PREFIX) && defined(FMI2_FUNCTION_PREFIX)
+  #define fmi2Paste(a,b)     a ## b
+  #define fmi2PasteB(a,b)    fmi2Paste(a,b)
+  #define fmi2FullName(name) fmi2PasteB(FMI2_FUNCTION_PREFIX, name)
+  #if !defined(FMI2_Export)
+    #define FMI2_Export
+  #endif
+#else
+  #define fmi2FullName(name) name
+#endif
+
+/* Export FMI2 API functions on Windows and under GCC, where they have no prefix. */
+#if !defined(FMI2_Export)
+  #if defined _WIN32 || defined __CYGWIN__
+    #define FMI2_Export __declspec(dllexport)
+  #elif __GNUC__ >= 4
+    #define FMI2_Export __attribute__ ((visibility ("default")))
+  #else
+    #define FMI2_Export
+  #endif
+#endif
+"""
+
+_PREFIX = """\
+/* Names of {name}, generated, and what every file of these sources must know of its compiler. */
+#ifndef PREFIX_H
+#define PREFIX_H
+
+#define PREFIX(name) {name}_##name
+
+/* Between these: functions that a shared library keeps to itself. */
+#if defined __GNUC__ && !defined _WIN32 && !defined __TINYC__
+#define BEGIN_INTERNAL _Pragma("GCC visibility push(hidden)")
+#define END_INTERNAL _Pragma("GCC visibility pop")
+#else
+#define BEGIN_INTERNAL
+#define END_INTERNAL
+#endif
+
+/* A missing measurement is a NaN, and what is not finite must be seen. */
+#if (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__) || defined _M_FP_FAST
+#error "{name} needs NaN and infinity: compile it without -ffast-math, -ffinite-math-only, /fp:fast"
+#endif
+
 #endif
 """
 
@@ -35,23 +101,34 @@ def fixed_sources() -> dict[str, bytes]:
         if entry.name.endswith((".c", ".h"))
     }
     headers = files("fmpy") / "c-code"
-    return found | {name: (headers / name).read_bytes() for name in FMI_HEADERS}
+    found |= {name: (headers / name).read_bytes() for name in FMI_HEADERS}
+    functions_h, changed = _UNPREFIXED.subn(lambda _: _PREFIXED, found["fmi2Functions.h"].decode())
+    if changed != 1:
+        raise ExportError("fmi2Functions.h of the fmpy package is another than expected: its macro fmi2FullName")
+    return found | {"fmi2Functions.h": functions_h.encode()}
+
+
+def prefix(component: Component) -> dict[str, bytes]:
+    """`prefix.h`, which every other file includes."""
+    return {"prefix.h": _PREFIX.format(name=component.name).encode()}
 
 
 def functions(component: Component) -> dict[str, bytes]:
-    """`functions.c` and `functions.h`: start, flow, jump and output as CasADi writes them.
+    """`functions.c` and `functions.h`: <name>_start, <name>_flow, <name>_jump and <name>_output as CasADi writes them.
 
     Raises:
         ExportError: C that CasADi cannot write in full, or that would share memory between instances.
     """
     # 32-bit indices: no faster than CasADi's 64 bits, but the tables take half the space.
-    generator = ca.CodeGenerator("functions", {"with_header": True, "with_export": False, "casadi_int": "int"})
+    # The generator's name is the prefix of its internal names.
+    name = f"{component.name}_functions"
+    generator = ca.CodeGenerator(name, {"with_header": True, "with_export": False, "casadi_int": "int"})
     for function in component.functions.values():
         generator.add(function)
     with tempfile.TemporaryDirectory() as folder:
         generator.generate(folder + "/")
-        code = (Path(folder) / "functions.c").read_text()
-        header = (Path(folder) / "functions.h").read_text()
+        code = (Path(folder) / f"{name}.c").read_text()
+        header = (Path(folder) / f"{name}.h").read_text()
     if "#error" in code or EXTERNAL in code:
         raise ExportError(_cannot_generate(component))
     if "CASADI_MAX_NUM_THREADS" in code:
@@ -59,7 +136,10 @@ def functions(component: Component) -> dict[str, bytes]:
             f"component '{component.name}': a solver in it keeps its memory "
             "in static variables of the C code, which all instances would share"
         )
-    return {"functions.c": _CASADI_WARNINGS + code.encode(), "functions.h": header.encode()}
+    # CasADi has no option to name a function otherwise in C: its definition, its calls, and what belongs to it, such as start_SZ_W.
+    ours = re.compile(rf"\b({'|'.join(component.functions)})(?=(_[A-Za-z_]+)?\(|_SZ_)")
+    code, header = (ours.sub(rf"{component.name}_\1", text) for text in (code, header))
+    return {"functions.c": (_CASADI_HEAD + code + _CASADI_TAIL).encode(), "functions.h": header.encode()}
 
 
 def _cannot_generate(component: Component) -> str:
@@ -117,18 +197,18 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "n_counters": len(counters),
         "failures": "failures" if component.failures else "NULL",
         "n_failures": len(component.failures),
-        "start": "start",
-        "flow": "flow",
-        "jump": "jump" if component.jump is not None else "NULL",
-        "output": "output",
+        "start": f"{component.name}_start",
+        "flow": f"{component.name}_flow",
+        "jump": f"{component.name}_jump" if component.jump is not None else "NULL",
+        "output": f"{component.name}_output",
         **{
-            f"sz_{kind}": _largest([f"{f}_SZ_{kind.upper()}" for f in component.functions])
+            f"sz_{kind}": _largest([f"{component.name}_{f}_SZ_{kind.upper()}" for f in component.functions])
             for kind in ("arg", "res", "iw", "w")
         },
     }
     lines = [
         f"/* The tables of {component.name}, generated. */",
-        "#include <math.h>",
+        "#include <float.h>",
         "",
         '#include "component.h"',
         '#include "functions.h"',
@@ -158,8 +238,9 @@ def _variable(port: Port, role: str) -> str:
 
 
 def _real(value: float) -> str:
+    """A constant of C. INFINITY is none for every compiler; no bound, or no limit of a step, is one that nothing finite exceeds."""
     if math.isinf(value):
-        return "INFINITY" if value > 0 else "-INFINITY"
+        return "DBL_MAX" if value > 0 else "-DBL_MAX"
     return repr(float(value))
 
 

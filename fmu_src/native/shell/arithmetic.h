@@ -6,6 +6,11 @@
 #include <fenv.h>
 #include <stdbool.h>
 
+#include "prefix.h"
+
+#define hold_arithmetic PREFIX(hold_arithmetic)
+#define restore_arithmetic PREFIX(restore_arithmetic)
+
 typedef struct {
     fenv_t whole;
     unsigned sse; /* the control and status of SSE where that alone is exchanged */

@@ -5,6 +5,20 @@
 
 #include "instance.h"
 
+#define set_up_experiment PREFIX(set_up_experiment)
+#define exit_initialization_mode PREFIX(exit_initialization_mode)
+#define terminate PREFIX(terminate)
+#define do_step PREFIX(do_step)
+#define get_real PREFIX(get_real)
+#define get_integer PREFIX(get_integer)
+#define get_boolean PREFIX(get_boolean)
+#define set_real PREFIX(set_real)
+#define set_integer PREFIX(set_integer)
+#define set_boolean PREFIX(set_boolean)
+#define set_state PREFIX(set_state)
+#define deserialize_state PREFIX(deserialize_state)
+#define get_real_status PREFIX(get_real_status)
+
 #if defined __GNUC__
 #define GUARDED __attribute__((noinline)) fmi2Status
 #else

@@ -7,6 +7,13 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "prefix.h"
+
+#define clock_at PREFIX(clock_at)
+#define clock_after PREFIX(clock_after)
+#define clock_error PREFIX(clock_error)
+#define clock_is_sound PREFIX(clock_is_sound)
+
 #define NANOSECONDS 1e9 /* times between sample instants are counted in these */
 #define SNAP 1e-6       /* relative: steps closer than this are the same; of a sample time or of a second: instants are */
 #define SHORTEST_SAMPLE_TIME 1e-6    /* [s]; 1000 nanoseconds: below, their rounding is no longer small */

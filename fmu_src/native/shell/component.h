@@ -4,6 +4,11 @@
 
 #include <stddef.h>
 
+#include "prefix.h"
+
+/* Like fmi2Functions.h does with the standard's names: so that several FMUs fit into one program. */
+#define component PREFIX(component)
+
 /* A function that CasADi wrote: columns of doubles in, columns of doubles out, never in place. Non-zero: it could not
    be evaluated. */
 typedef int Function(const double **arguments, double **results, int *iw, double *w, int memory);
@@ -47,6 +52,8 @@ typedef struct {
     size_t sz_arg, sz_res, sz_iw, sz_w; /* the work space that the largest of them needs */
 } Component;
 
+BEGIN_INTERNAL
 extern const Component component;
+END_INTERNAL
 
 #endif

@@ -13,6 +13,18 @@
 #include "component.h"
 #include "fmi2Functions.h"
 
+/* What the shell's files offer each other has the model's name in it; see component.h. */
+#define report PREFIX(report)
+#define allowed PREFIX(allowed)
+#define set_defaults PREFIX(set_defaults)
+#define refresh_start PREFIX(refresh_start)
+#define evaluate_outputs PREFIX(evaluate_outputs)
+#define refresh_outputs PREFIX(refresh_outputs)
+#define all_finite PREFIX(all_finite)
+#define has_failed PREFIX(has_failed)
+#define report_failure PREFIX(report_failure)
+#define bad_input PREFIX(bad_input)
+
 typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEP_COMPLETE = 4, TERMINATED = 8 } Lifecycle;
 #define ANY_STATE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE | TERMINATED)
 
@@ -50,6 +62,8 @@ typedef struct {
     int *iw;
 } Instance;
 
+BEGIN_INTERNAL
+
 /* logging.c */
 #if defined __GNUC__
 __attribute__((format(printf, 4, 5)))
@@ -66,5 +80,7 @@ const char *bad_input(const Instance *self, double *value);
 bool all_finite(const double *values, size_t n);
 bool has_failed(const double *z);
 void report_failure(Instance *self, const double *z, const char *occasion);
+
+END_INTERNAL
 
 #endif
