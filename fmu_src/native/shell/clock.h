@@ -33,7 +33,8 @@ typedef struct {
 } Clock;
 
 Clock clock_at(double t0, double sample_time);
-/* [s]; inline, for every step asks several times */
+
+/* [s]. Inline, like the next three: every step asks several times. */
 static inline double unit_of(const Clock *clock)
 {
     return clock->sample_time > 0 ? clock->sample_time : 1;
