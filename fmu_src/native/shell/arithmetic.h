@@ -17,7 +17,11 @@ typedef struct {
     bool only_sse;
 } Arithmetic;
 
+BEGIN_INTERNAL
+
 void hold_arithmetic(Arithmetic *host);
 void restore_arithmetic(const Arithmetic *host);
+
+END_INTERNAL
 
 #endif

@@ -25,6 +25,8 @@
 #define GUARDED fmi2Status
 #endif
 
+BEGIN_INTERNAL
+
 GUARDED set_up_experiment(Instance *self, double start, bool stop_defined, double stop);
 GUARDED exit_initialization_mode(Instance *self);
 GUARDED terminate(Instance *self);
@@ -38,5 +40,7 @@ GUARDED set_boolean(Instance *self, const fmi2ValueReference vr[], size_t nvr, c
 GUARDED set_state(Instance *self, const char *block);
 GUARDED deserialize_state(Instance *self, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state);
 GUARDED get_real_status(Instance *self, fmi2StatusKind kind, fmi2Real *value);
+
+END_INTERNAL
 
 #endif

@@ -32,6 +32,8 @@ typedef struct {
     double step;        /* length of the last step [s] */
 } Clock;
 
+BEGIN_INTERNAL
+
 Clock clock_at(double t0, double sample_time);
 
 /* [s]. Inline, like the next three: every step asks several times. */
@@ -72,5 +74,7 @@ double clock_error(const Clock *clock, double t, double h);
 
 /* Can this be a clock? Bytes that claim to be one may hold anything. */
 bool clock_is_sound(const Clock *clock);
+
+END_INTERNAL
 
 #endif
