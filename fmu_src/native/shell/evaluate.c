@@ -90,12 +90,18 @@ bool refresh_start(Instance *self)
     return true;
 }
 
+/* The value as messages show it: the sign of what is no number is chance. */
+double shown(double value)
+{
+    return isnan(value) ? fabs(value) : value;
+}
+
 /* The name and value of an input that is not finite, or NULL. */
 const char *bad_input(const Instance *self, double *value)
 {
     for (size_t i = 0; i < component.n_inputs; i++) {
         if (!isfinite(self->u[i])) {
-            *value = self->u[i];
+            *value = shown(self->u[i]);
             return component.variables[i].name;
         }
     }
@@ -123,7 +129,7 @@ bool evaluate_outputs(Instance *self, const double *z, double time)
         while (isfinite(self->y[i]))
             i++;
         report(self, fmi2Error, LOG_ERROR, "%s: the output %s is %g at t = %.15g.", component.name,
-               component.variables[component.n_inputs + component.n_parameters + i].name, self->y[i], time);
+               component.variables[component.n_inputs + component.n_parameters + i].name, shown(self->y[i]), time);
         return false;
     }
     self->stale_outputs = false;

@@ -77,6 +77,7 @@ bool refresh_start(Instance *self);
 bool evaluate_outputs(Instance *self, const double *z, double time);
 bool refresh_outputs(Instance *self);
 const char *bad_input(const Instance *self, double *value);
+double shown(double value);
 bool all_finite(const double *values, size_t n);
 bool has_failed(const double *z);
 void report_failure(Instance *self, const double *z, const char *occasion);

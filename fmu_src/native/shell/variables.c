@@ -66,7 +66,7 @@ static fmi2Status warn_of_value(Instance *self, fmi2ValueReference reference)
     double value = 0;
     const char *input = bad_input(self, &value);
     report(self, fmi2Warning, LOG_WARNING, "%s: the output %s is %g at t = %.15g, where the input %s is %g.",
-           component.name, component.variables[reference].name, self->values[reference],
+           component.name, component.variables[reference].name, shown(self->values[reference]),
            clock_time(&self->run.clock), input ? input : "(none)", value);
     return fmi2Warning;
 }

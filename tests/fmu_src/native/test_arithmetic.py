@@ -92,6 +92,6 @@ def test_every_host_gets_the_same_bits_and_its_environment_back(unpacked: Callab
     folder = unpacked(name)
     bad, plain = visit(folder, name, "plain")
     assert bad == 0
-    assert len(set(plain[k : k + 8] for k in range(0, len(plain), 8))) > 50
+    assert len(set(plain[k : k + 8] for k in range(0, len(plain), 8))) > 30
     for host in HOSTS[1:]:
         assert in_child(folder, name, host) == (0, plain), host
