@@ -1,7 +1,10 @@
 """The README's example runs as printed; what the documentation names, links to or imports is there."""
 
-import importlib
+import importlib.util
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -96,6 +99,13 @@ def test_every_command_is_one(page: str) -> None:
 @pytest.mark.parametrize("page", NOW)
 def test_nothing_is_called_as_it_was(page: str) -> None:
     assert not [found.group() for found in GONE.finditer(NOW[page])]
+
+
+def test_the_scripts_that_draw_the_pictures_find_what_they_import(tmp_path: Path) -> None:
+    scripts = sorted(path.stem for path in (ROOT / "docs").glob("figures*.py"))
+    program = f"import sys; sys.path[0] = {str(ROOT / 'docs')!r}; import {', '.join(scripts)}"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True)
 
 
 def test_the_readme_says_how_many_rules_there_are() -> None:
