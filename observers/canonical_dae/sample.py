@@ -17,7 +17,7 @@ from observers.canonical_dae.ports import CODE
 from observers.canonical_dae.steps import bdf_step, consistent, integrated
 from observers.model import Model
 from observers.numerics.exact import product
-from observers.numerics.finite import HUGE
+from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 
@@ -59,6 +59,8 @@ def memory(method: Method) -> Layout:
     return Layout(
         x=n,  # the prediction: the estimate of the current time
         x_filtered=n,  # the estimate of the last sample instant, where h(x) = y
+        before=n,  # the prediction at the last sample, before it acted
+        undoable=1,  # whether to go back to it is worth a try
         mu=ny,  # [delta; lambda] there
         d=nd,  # disturbances, means over the last interval
         y=ny * method.kept,  # past samples, newest first
@@ -107,6 +109,7 @@ def start(method: Method) -> ca.Function:
     first = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {
         "x": q.guess,
         "x_filtered": q.guess,
+        "before": q.guess,
         "status": ca.DM(CODE.initial_guess),
         "fault": ca.DM(fault_detector.SETTLING),
     }
@@ -114,7 +117,10 @@ def start(method: Method) -> ca.Function:
 
 
 def flow(method: Method) -> ca.Function:
-    """flow(z, u, p, t, h) -> z: the prediction, by the model with the last disturbances."""
+    """flow(z, u, p, t, h) -> z: the prediction, by the model with the last disturbances.
+
+    Where it escapes, the last sample is undone; a prediction that escapes by itself starts again from the guess.
+    """
     dae, state = method.dae, memory(method)
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(method.model))
     p, t, h = ca.SX.sym("p", method.settings.total), ca.SX.sym("t"), ca.SX.sym("h")
@@ -123,7 +129,20 @@ def flow(method: Method) -> ca.Function:
     rhs = ca.Function("rhs", dae.arguments, [dae.f])
     forced = ca.mtimes(ca.DM(dae.E), s.d) if dae.n_disturbances else 0
     moved = runge_kutta(lambda x, time: rhs(x, inputs, q.model, time) + forced, s.x, t, h, CLASSICAL_4)
-    after = state.replace(z, x=moved, input_integral=s.input_integral + h * inputs)
+    whole = ca.sumsqr(moved) < HUGE
+    back = ca.if_else(s.undoable, s.before, q.guess)
+    after = state.replace(
+        z,
+        x=ca.if_else(whole, moved, back),
+        x_filtered=ca.if_else(whole, s.x_filtered, back),
+        mu=ca.if_else(whole, s.mu, 0),
+        d=ca.if_else(whole, s.d, 0),
+        k=ca.if_else(whole, s.k, 0),
+        undoable=ca.logic_and(s.undoable, whole),
+        input_integral=s.input_integral + h * inputs,
+        status=ca.if_else(whole, s.status, CODE.solver_failed),
+        failures=s.failures + ca.logic_not(whole),
+    )
     return ca.Function("flow", [z, u, p, t, h], [after])
 
 
@@ -153,14 +172,16 @@ def jump(method: Method) -> ca.Function:
     # A measurement that is missing or not finite is replaced by its prediction.
     valid, rejected = ports.judged(read.y, read.offered)
     outputs = ca.Function("outputs", dae.arguments, [ca.densify(dae.h), ca.densify(dae.r)])
-    predicted, added = outputs(s.x, read.known, q.model, t)
-    y = ca.if_else(valid, read.y - added, predicted)
+    expected, added = outputs(s.x, read.known, q.model, t)
+    predicted = kept(expected, 0)  # outside the domain of h there is nothing to stand in for a measurement
+    y = kept(ca.if_else(valid, read.y - added, predicted), predicted)
     any_valid, all_valid = ca.sum1(valid) > 0, ca.sum1(valid) == ny
 
     found = _advanced(method, now, y)
     sound = ca.logic_and(ca.sumsqr(ca.vertcat(found.x, found.mu, found.d)) < HUGE, found.change < CONVERGED)
-    failed = ca.logic_and(any_valid, ca.logic_not(sound))
-    accepted = ca.logic_and(any_valid, sound)
+    lost = ca.logic_not(ca.sumsqr(ca.vertcat(expected, added)) < HUGE)
+    failed = ca.logic_or(lost, ca.logic_and(any_valid, ca.logic_not(sound)))
+    accepted = ca.logic_and(any_valid, ca.logic_not(failed))
     x = ca.if_else(accepted, found.x, s.x)
     mu = ca.if_else(accepted, found.mu, ca.if_else(failed, 0, s.mu))
     d = ca.if_else(accepted, found.d, s.d)
@@ -178,6 +199,8 @@ def jump(method: Method) -> ca.Function:
         {
             "x": x,
             "x_filtered": x,
+            "before": s.x,
+            "undoable": 1,
             "mu": mu,
             "d": d,
             "y": found.y,

@@ -13,7 +13,7 @@ from observers.elementary.identifiability import least_visible
 from observers.elementary.iteration import active_nodes
 from observers.elementary.ports import CODE
 from observers.model import Model
-from observers.numerics.finite import HUGE
+from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 
 
@@ -120,14 +120,14 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
             "samples": ca.if_else(failed, 0, ca.fmin(s.samples + 1, N)),
             "changed": changed,
             "model": c.model,
-            "innovation": innovation,
-            "null": null,
+            "innovation": kept(innovation, 0),
+            "null": kept(null, s.null),
             "status": status,
-            "cost": ca.if_else(failed, s.cost, cost),
+            "cost": kept(ca.if_else(failed, s.cost, cost), s.cost),
             "iterations": iterations,
-            "change": ca.if_else(finite, change, 0),
-            "contraction": ca.if_else(finite, contraction, 0),
-            "visibility": visibility,
+            "change": kept(ca.if_else(finite, change, 0), 0),
+            "contraction": kept(ca.if_else(finite, contraction, 0), 0),
+            "visibility": kept(visibility, s.visibility),
             "rejected": s.rejected + rejected,
             "failures": s.failures + failed,
         }

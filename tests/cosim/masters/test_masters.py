@@ -13,7 +13,6 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
-from systems import coupled, edited, written
 
 from build_fmus import FMUS, SYSTEMS
 from cosim.fmu import Value
@@ -27,6 +26,7 @@ from observers.component import Component, Port
 from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from systems import coupled, edited, written
 from tools import ROOT
 
 Build = Callable[[str], Path]

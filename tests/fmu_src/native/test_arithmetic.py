@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from host import HOSTS, driver, pointer
 
 from conftest import Slave
+from host import HOSTS, driver, pointer
 from tools import ROOT, TESTS
 
 STEP = 1 / 16  # a power of two: the host's own sums of it are exact in every rounding

@@ -6,9 +6,9 @@ import struct
 from collections.abc import Callable
 
 import pytest
-from host import WAYS, drive
 
 from conftest import COMPONENTS, Slave
+from host import WAYS, drive
 from observers.instance import Instance
 
 Make = Callable[..., Slave]

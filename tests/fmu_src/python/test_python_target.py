@@ -16,8 +16,6 @@ import pytest
 from fmpy.validation import validate_fmu
 from lxml import etree
 from scipy.integrate import solve_ivp
-from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
-from test_shell import CASES, grid
 
 from build_fmus import SYSTEMS, build_all, choose
 from components import COMPONENTS
@@ -32,6 +30,8 @@ from observers.model import Model, Variable
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
+from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
+from test_shell import CASES, grid
 from tools import ROOT
 
 # A PythonFMU's memory is Python's, as its model description says: the importer's callbacks serve nothing.
