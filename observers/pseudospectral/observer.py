@@ -83,7 +83,7 @@ def pseudospectral(
 
     Raises:
         ModelError: unknown disturbances, a state or unknown parameter that no output can ever see, algebraic variables that do not act on
-            the states, a noise bound of something that is no output.
+            the states or have bounds, a noise bound of something that is no output.
         ValueError: N, L, segments or sample_time out of range, a window with fewer measurements than unknowns; an unknown cost, or one
             that does not go with segments or a noise bound.
     """

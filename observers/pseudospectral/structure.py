@@ -40,6 +40,12 @@ def check(model: Model, sample_time: float, N: int, L: int, segments: int, cost:
     if cost == "spline" and (segments > 1 or more):
         raise ValueError("pseudospectral: the spline cost goes with one segment, without noise bound or arrival cost")
     refuse_unobservable(model, "pseudospectral")
+    for v in model.algebraic:
+        if math.isfinite(v.min) or math.isfinite(v.max):
+            raise ModelError(
+                f"pseudospectral: model '{model.name}' bounds the algebraic variable '{v.name}' by [{v.min:g}, {v.max:g}], which is not "
+                "imposed: bound the states that it follows from, or leave its bounds out"
+            )
     eq = model.equations
     if model.algebraic and not ca.depends_on(eq.ode, eq.z):
         raise ModelError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -207,3 +208,11 @@ def test_algebraic_variables_without_effect_on_the_states_are_refused() -> None:
     )
     with pytest.raises(ModelError, match="'idle' has algebraic variables that no state's equation contains"):
         pseudospectral(model, sample_time=0.1)
+
+
+@pytest.mark.parametrize("bounds", [{"min": 0.0}, {"max": 9.0}])
+def test_bounds_of_an_algebraic_variable_are_refused_by_name_not_ignored(bounds: dict[str, float]) -> None:
+    (x3,) = RLC.algebraic
+    model = dataclasses.replace(RLC, algebraic=[dataclasses.replace(x3, **bounds)])
+    with pytest.raises(ModelError, match=r"bounds the algebraic variable 'x3' by \[.*not imposed"):
+        pseudospectral(model, sample_time=0.2, N=8, L=5)
