@@ -22,12 +22,24 @@ typedef struct {
     double phase;       /* of the next unit, in [0, 1) */
     double carry;       /* what the end of the last step was moved by [units] */
     double step;        /* length of the last step [s] */
+    double elapsed;     /* since t0 [s], to whole nanoseconds between sample instants: what whole and phase say */
 } Clock;
 
 Clock clock_at(double t0, double sample_time);
-double elapsed(const Clock *clock);       /* since t0 [s], to whole nanoseconds between sample instants */
-double clock_time(const Clock *clock);    /* [s] */
-int64_t clock_ticks(const Clock *clock);  /* sample instants before this one: the next is t0 + ticks * sample_time */
+
+/* [s] */
+static inline double clock_time(const Clock *clock)
+{
+    return clock->t0 + clock->elapsed;
+}
+
+/* Sample instants before this one: the next is t0 + ticks * sample_time. */
+static inline int64_t clock_ticks(const Clock *clock)
+{
+    if (clock->sample_time == 0)
+        return 0;
+    return clock->phase > 0 ? clock->whole + 1 : clock->whole;
+}
 
 /* The clock after a step of h that the importer says begins at t. False where it does not count that far. */
 bool clock_after(const Clock *clock, double t, double h, Clock *after);
