@@ -11,8 +11,22 @@
 
 Clock clock_at(double t0, double sample_time)
 {
-    Clock clock = {0, 0, t0, sample_time, t0, 0, 0, 0};
+    Clock clock = {0, 0, t0, sample_time, t0, 0, 0, 0, 0};
     return clock;
+}
+
+static double unit_of(const Clock *clock)
+{
+    return clock->sample_time > 0 ? clock->sample_time : 1;
+}
+
+static double elapsed(const Clock *clock)
+{
+    double unit = unit_of(clock), last = (double)clock->whole * unit;
+    if (clock->phase == 0)
+        return last;
+    double rounded = rint(((double)clock->whole + clock->phase) * unit * NANOSECONDS) / NANOSECONDS;
+    return fmin(fmax(rounded, last), (double)(clock->whole + 1) * unit);
 }
 
 /* How far the end of a step may lie from a sample instant and still be it, whatever the size of times [units]. */
@@ -43,9 +57,10 @@ static double simplest(double x, double tolerance)
 static double share_of(const Clock *clock, double t, double h)
 {
     bool sampled = clock->sample_time > 0;
-    double unit = unit_of(clock), x = h / unit, noise = RESOLUTION / 2 * fabs(t + h) / unit;
+    double unit = unit_of(clock), x = h / unit;
     if (sampled && fabs(x - 1) <= SNAP * x)
-        return 1; /* by far the most common; what follows says the same */
+        return 1; /* what `simplest` says, sooner */
+    double noise = RESOLUTION / 2 * fabs(t + h) / unit; /* h may be a difference of times, each a rounded sum */
     double simple = simplest(x, sampled ? SNAP * x : fmin(SNAP * x, 1 / NANOSECONDS + noise));
     if (simple > 0)
         return simple;
@@ -64,9 +79,18 @@ bool clock_after(const Clock *clock, double t, double h, Clock *after)
     double share = share_of(clock, t, h), sum = clock->phase + clock->carry + share;
     if (!(fabs((double)clock->whole + sum) < LARGEST))
         return false;
-    double near = rint(sum), rest = sum - near;
-    double carried = clock->sample_time > 0 ? RESOLUTION * fabs(t) / unit_of(clock) : 0;
+    double near = rint(sum), rest = sum - near, unit = unit_of(clock);
     *after = *clock;
+    after->steps++;
+    after->label = t + h;
+    after->step = h;
+    if (rest == 0) { /* nearly always: on an instant */
+        after->whole += (int64_t)near;
+        after->phase = after->carry = 0;
+        after->elapsed = (double)after->whole * unit;
+        return true;
+    }
+    double carried = clock->sample_time > 0 ? RESOLUTION * fabs(t) / unit : 0;
     if (fabs(rest) <= fmin(fmax(slack(clock), carried), share / 2)) {
         after->whole += (int64_t)near;
         after->phase = 0;
@@ -77,9 +101,7 @@ bool clock_after(const Clock *clock, double t, double h, Clock *after)
         after->phase = sum - whole;
         after->carry = 0;
     }
-    after->steps++;
-    after->label = t + h;
-    after->step = h;
+    after->elapsed = elapsed(after);
     return true;
 }
 
@@ -90,7 +112,7 @@ double clock_error(const Clock *clock, double t, double h)
     if (!(fabs(off) <= fmax(fmax(known / 2, 1 / NANOSECONDS), rounding)))
         return off / h;
     off = t - clock_time(clock);
-    if (!(fabs(off) <= fmax(h / 2, 1 / NANOSECONDS) + SNAP * elapsed(clock) + (double)(clock->steps + 1) * rounding))
+    if (!(fabs(off) <= fmax(h / 2, 1 / NANOSECONDS) + SNAP * clock->elapsed + (double)(clock->steps + 1) * rounding))
         return off / h;
     return 0;
 }
@@ -102,5 +124,5 @@ bool clock_is_sound(const Clock *clock)
            isfinite(clock->label) && isfinite(clock->step) && clock->step >= 0 &&
            (clock->step > 0) == (clock->steps > 0) &&
            (clock->sample_time == 0 || (clock->sample_time >= SHORTEST_SAMPLE_TIME && isfinite(clock->sample_time))) &&
-           isfinite(clock_time(clock));
+           clock->elapsed == elapsed(clock) && isfinite(clock_time(clock));
 }

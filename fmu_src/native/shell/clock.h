@@ -30,32 +30,17 @@ typedef struct {
     double phase;       /* of the next unit, in [0, 1) */
     double carry;       /* what the end of the last step was moved by [units] */
     double step;        /* length of the last step [s] */
+    double elapsed;     /* since t0 [s], to whole nanoseconds between sample instants: what whole and phase say */
 } Clock;
 
 BEGIN_INTERNAL
 
 Clock clock_at(double t0, double sample_time);
 
-/* [s]. Inline, like the next three: every step asks several times. */
-static inline double unit_of(const Clock *clock)
-{
-    return clock->sample_time > 0 ? clock->sample_time : 1;
-}
-
-/* Since t0 [s], to whole nanoseconds between sample instants. */
-static inline double elapsed(const Clock *clock)
-{
-    double unit = unit_of(clock), last = (double)clock->whole * unit;
-    if (clock->phase == 0)
-        return last;
-    double rounded = rint(((double)clock->whole + clock->phase) * unit * NANOSECONDS) / NANOSECONDS;
-    return fmin(fmax(rounded, last), (double)(clock->whole + 1) * unit);
-}
-
 /* [s] */
 static inline double clock_time(const Clock *clock)
 {
-    return clock->t0 + elapsed(clock);
+    return clock->t0 + clock->elapsed;
 }
 
 /* Sample instants before this one: the next is t0 + ticks * sample_time. */

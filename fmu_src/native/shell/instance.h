@@ -48,6 +48,7 @@ typedef struct {
     Run run;
     bool stale_start;   /* z does not yet follow from the parameters (before and in initialization mode) */
     bool stale_outputs; /* y does not yet follow from z, u, p and time */
+    bool finite_outputs;
     double *values;     /* by value reference: u, p, y, constants */
     double *u, *p, *y;  /* in `values` */
     double *du;         /* input derivatives */

@@ -77,8 +77,8 @@ fmi2Status get_real(Instance *self, const fmi2ValueReference vr[], size_t nvr, f
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
         value[i] = self->values[vr[i]];
-    for (size_t i = 0; i < nvr; i++)
-        if (!isfinite(value[i]) && component.variables[vr[i]].role == OUTPUT)
+    for (size_t i = 0; i < nvr && !self->finite_outputs; i++)
+        if (component.variables[vr[i]].role == OUTPUT && !isfinite(value[i]))
             return warn_of_value(self, vr[i]);
     return fmi2OK;
 }
@@ -127,7 +127,8 @@ static bool can_set(Instance *self, const char *function, fmi2ValueReference ref
         report(self, fmi2Error, LOG_ERROR, "%s: %s = %g must be finite.", function, variable->name, value);
         return false;
     }
-    if (variable->min <= value && value <= variable->max)
+    /* what is no number is found without an arithmetic comparison, which would trap in a host that traps */
+    if (all_finite(&value, 1) && variable->min <= value && value <= variable->max)
         return true;
     report(self, fmi2Error, LOG_ERROR, "%s: %s = %.10g lies outside [%.10g, %.10g].", function, variable->name, value,
            variable->min, variable->max);
@@ -142,8 +143,9 @@ static void was_set(Instance *self)
         self->stale_start = true;
 }
 
-fmi2Status set_real(Instance *self, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
 {
+    Instance *self = c;
     if (!allowed(self, "fmi2SetReal", SETTABLE) || !has_pointers(self, "fmi2SetReal", nvr, vr, value))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
@@ -155,8 +157,9 @@ fmi2Status set_real(Instance *self, const fmi2ValueReference vr[], size_t nvr, c
     return fmi2OK;
 }
 
-fmi2Status set_integer(Instance *self, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[])
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[])
 {
+    Instance *self = c;
     if (!allowed(self, "fmi2SetInteger", SETTABLE) || !has_pointers(self, "fmi2SetInteger", nvr, vr, value))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
@@ -177,8 +180,9 @@ fmi2Status get_boolean(Instance *self, const fmi2ValueReference vr[], size_t nvr
     return fmi2OK;
 }
 
-fmi2Status set_boolean(Instance *self, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[])
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Boolean value[])
 {
+    Instance *self = c;
     if (!allowed(self, "fmi2SetBoolean", SETTABLE) || !has_pointers(self, "fmi2SetBoolean", nvr, vr, value))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)

@@ -14,8 +14,8 @@ Make = Callable[..., Slave]
 
 # Of the header, by byte offset: see Header and Run in shell/state.c and shell/instance.h.
 LIFECYCLE, IS_SET_UP, STOP_DEFINED, EXTRAPOLATES, STOP, CLOCK = 32, 40, 48, 56, 64, 72
-WHOLE, STEPS, START, SAMPLE_TIME, LABEL, PHASE, CARRY, LAST = range(CLOCK, CLOCK + 64, 8)
-HEADER = CLOCK + 64
+WHOLE, STEPS, START, SAMPLE_TIME, LABEL, PHASE, CARRY, LAST, ELAPSED = range(CLOCK, CLOCK + 72, 8)
+HEADER = CLOCK + 72
 NAN, INF = math.nan, math.inf
 # Component, offset, how it is packed, value.
 UNSOUND = {
@@ -37,6 +37,7 @@ UNSOUND = {
     "negative phase": ("sampled_toy", PHASE, "d", -0.5),
     "phase that is no number": ("sampled_toy", PHASE, "d", NAN),
     "carry": ("sampled_toy", CARRY, "d", 3.0),
+    "elapsed time": ("sampled_toy", ELAPSED, "d", 0.51),
     "last step": ("sampled_toy", LAST, "d", NAN),
     "state": ("sampled_toy", HEADER, "d", NAN),
     "infinite state": ("sampled_toy", HEADER + 8, "d", INF),

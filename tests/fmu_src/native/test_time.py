@@ -13,7 +13,7 @@ from observers.instance import Instance
 
 Make = Callable[..., Slave]
 
-HEADER = struct.Struct("<4Q 4q d 2q 6d")  # of a serialised state: whose it is, the lifecycle, stop time, clock
+HEADER = struct.Struct("<4Q 4q d 2q 7d")  # of a serialised state: whose it is, the lifecycle, stop time, clock
 T0 = (0.0, 0.3, 86400.0, 4e6, 1.7e9)
 SAMPLE_TIMES = (1e-3, 1 / 60, 0.1, 1 / 3, 16384 / 1e7)
 NOISE = {"sensor.noise_bound": 0.02, "sensor.noise_std": 0.01, "sensor.seed": 7}
