@@ -17,13 +17,14 @@ class Platform:
     suffix: str
 
 
-# By the folder in `binaries/`. glibc 2.17 is what RHEL 7 has, hence everything newer as well.
+# By the folder in `binaries/`. glibc 2.17 is what RHEL 7 has, hence everything newer as well; macOS 11 is the first on
+# Apple silicon, 10.13 is of 2017. Without a version zig takes the newest it knows, and older systems refuse the library.
 PLATFORMS = {
     "linux64": Platform("x86_64-linux-gnu.2.17", ".so"),
     "win64": Platform("x86_64-windows-gnu", ".dll"),
-    "darwin64": Platform("x86_64-macos", ".dylib"),
+    "darwin64": Platform("x86_64-macos.10.13", ".dylib"),
     "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so"),
-    "aarch64-darwin": Platform("aarch64-macos", ".dylib"),
+    "aarch64-darwin": Platform("aarch64-macos.11.0", ".dylib"),
 }
 
 _HOSTS = {

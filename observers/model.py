@@ -38,8 +38,8 @@ class ModelError(ValueError):
 class Variable:
     """One named scalar: what it is, in which unit, where it starts and what it may be.
 
-    `unit` is an FMI unit expression ("m/s", "rad/s", "1"); `start` is the value before anything is known, `nominal` its
-    typical magnitude (> 0), `min` and `max` its bounds, all in `unit`.
+    `unit` is an FMI unit expression ("m/s", "rad/s", "1"), or "" for what may stand for anything; `start` is the value before
+    anything is known, `nominal` its typical magnitude (> 0), `min` and `max` its bounds, all in `unit`.
     """
 
     name: str
@@ -248,7 +248,7 @@ class Model:
         lines = [f"Model {self.name}" + (f": {self.description}" if self.description else "")]
         for group, variables in self._groups().items():
             if variables:
-                named = ", ".join(v.name + (f" [{v.unit}]" if v.unit != "1" else "") for v in variables)
+                named = ", ".join(v.name + (f" [{v.unit}]" if v.unit not in ("", "1") else "") for v in variables)
                 label = f"{group}s:" if len(variables) > 1 else f"{group}:"
                 lines.append(f"  {len(variables)} {label:<22} {named}")
         return "\n".join(lines)

@@ -78,7 +78,7 @@ def motor_controller() -> Component:
             *(v for v in MOTOR.parameters if v.name != "A1"),
             Variable("angle", "angle to hold", "rad", 0.8, min=0.1, max=1.5),
             *(
-                Variable(f"gain_{v.name}", f"gain of the {v.description}", start=MOTOR_GAINS[v.name])
+                Variable(f"gain_{v.name}", f"gain of the {v.description}", "", start=MOTOR_GAINS[v.name])
                 for v in MOTOR.states
             ),
             Variable("min", "smallest output", "1/s", MOTOR.inputs[0].min),

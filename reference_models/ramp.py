@@ -7,7 +7,7 @@ from observers.component import Component, Port
 
 
 def ramp() -> Component:
-    """y(t) = 0 up to `start`, `height` from start + duration on, a straight line between; no inputs, no state."""
+    """y(t) = 0 up to `start`, `height` from start + duration on, a straight line between, of no unit; no inputs, no state."""
     parameters = (
         Port("height", "value at the end", units.NONE, 0.5, variability="tunable"),
         Port("start", "where it leaves zero", "s", start=1.0, variability="tunable"),

@@ -7,7 +7,7 @@ from observers.component import Component, Port
 
 
 def sine() -> Component:
-    """y(t) = offset + amplitude sin(frequency t + phase); no inputs, no state."""
+    """y(t) = offset + amplitude sin(frequency t + phase), of no unit, for it stands for anything; no inputs, no state."""
     parameters = (
         Port("amplitude", "amplitude", units.NONE, 1.0, variability="tunable"),
         Port("frequency", "angular frequency", "rad/s", start=1.0, variability="tunable"),

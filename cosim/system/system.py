@@ -191,7 +191,8 @@ def _connect(
 def _check_units(connection: Connection, descriptions: Mapping[str, ModelDescription]) -> None:
     """Values pass unconverted, so ends that declare different units must be refused.
 
-    A dimensionless end fits any other: a generic source (a sine, a constant) does not know what it stands for.
+    An end without a unit fits any other: a generic source (a sine, a ramp) does not know what it stands for. So does a
+    dimensionless one: sources of other tools say so and mean the same.
     """
     ends = ((connection.source, connection.output), (connection.target, connection.input))
     units = [_base_unit(descriptions[element], unit_of(variable)) for element, variable in ends]

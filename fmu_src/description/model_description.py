@@ -191,7 +191,7 @@ def _unit_definitions(root: etree._Element, component: Component, variables: lis
 
 
 def _real_units(variables: list[Entry]) -> dict[str, str]:
-    """Each unit with the first variable that uses it."""
+    """Each unit with the first variable that uses it; "" is none."""
     found: dict[str, str] = {}
     for entry in variables:
         if entry.port.kind == "Real" and entry.port.unit:

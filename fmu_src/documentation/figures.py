@@ -37,7 +37,7 @@ def panels(component: Component, driven_by: Component | None) -> tuple[np.ndarra
     """
     recording = default_experiment(component, driven_by, MOST_STEPS)
     own, plant = _six_digits(recording.outputs), _six_digits(recording.plant or {})
-    units = {port.name: "" if port.unit == "1" else f" [{port.unit}]" for port in component.outputs}
+    units = {port.name: "" if port.unit in ("", "1") else f" [{port.unit}]" for port in component.outputs}
     names = [name.removeprefix("estimate.") for name in own if name.startswith("estimate.")]
     pairs = [name for name in names if f"x.{name}" in plant]
     if pairs:

@@ -20,6 +20,7 @@ from fmu_src.description.model_description import describe
 from fmu_src.description.units import parse
 from fmu_src.native.sources import fixed_sources
 from observers.component import Component, Port
+from reference_models.ramp import ramp
 from toys import feedthrough_toy, sampled_toy
 
 Path_of = Callable[[str], Path]
@@ -167,6 +168,19 @@ def test_unit_definitions_cover_every_unit() -> None:
         "m/s": {"m": "1", "s": "-1"},
         "1/(V2.s2)": {"kg": "-2", "m": "-4", "s": "4", "A": "2"},
     }
+
+
+def test_a_variable_without_a_unit_declares_none_and_none_is_defined() -> None:
+    root = xml(ramp())
+    reals = {v.get("name"): v[0] for v in root.iter("ScalarVariable")}
+    assert {name: real.get("unit") for name, real in reals.items()} == {
+        "height": None,
+        "start": "s",
+        "duration": "s",
+        "y": None,
+    }
+    assert reals["y"].get("declaredType") is None
+    assert [unit.get("name") for unit in root.iter("Unit")] == ["s"]
 
 
 @pytest.mark.parametrize("unit", ["furlong", "m/s/s", "m s", "m/s.kg", "m^2", "m0.5"])

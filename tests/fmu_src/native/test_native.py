@@ -15,6 +15,8 @@ import fmpy
 import pytest
 from elftools.elf.elffile import ELFFile
 from lxml import etree
+from macholib.mach_o import LC_BUILD_VERSION, LC_CODE_SIGNATURE, LC_VERSION_MIN_MACOSX
+from macholib.MachO import MachO
 
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.compliance.files.binaries import functions
@@ -222,6 +224,18 @@ def processor(content: bytes) -> bytes:
     return content[4:8]
 
 
+# The oldest macOS that each library says it runs on.
+MACOS = {"darwin64": "10.13.0", "aarch64-darwin": "11.0.0"}
+
+
+def mach_o(path: Path) -> tuple[str, bool]:
+    """Of a Mach-O library: the macOS that it was built for, and whether it is signed, as Apple silicon demands."""
+    commands = {load.cmd: command for load, command, _ in MachO(str(path)).headers[0].commands}
+    built = commands.get(LC_BUILD_VERSION) or commands[LC_VERSION_MIN_MACOSX]
+    version = int(built.minos if LC_BUILD_VERSION in commands else built.version)
+    return f"{version >> 16}.{version >> 8 & 255}.{version & 255}", LC_CODE_SIGNATURE in commands
+
+
 @pytest.mark.long
 def test_one_fmu_holds_every_platform_and_the_sources_and_compiles_reproducibly(tmp_path: Path) -> None:
     paths = [export(growing_toy(), tmp_path / name, platforms=("all",)) for name in ("one", "two")]
@@ -238,6 +252,9 @@ def test_one_fmu_holds_every_platform_and_the_sources_and_compiles_reproducibly(
         assert Path(name).suffix == PLATFORMS[platform].suffix
         assert processor(content) == PROCESSORS[platform], platform
         assert all(function.encode() + b"\0" in content for function in wanted), platform
+        if platform in MACOS:
+            version, signed = mach_o(folder / name)
+            assert version == MACOS[platform] and (signed or platform == "darwin64")
     exported, needed, versions = elf(str(folder / binaries["aarch64-linux"]))
     assert exported == wanted and max(versions) <= (2, 17)
     assert needed <= {"libc.so.6", "libm.so.6", "ld-linux-aarch64.so.1"}
