@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers.numerics.finite import finite, kept
+from observers.numerics.finite import finite
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.window.problem import known_terms
 from observers.pseudospectral.window.sliding import insert_input, insert_sample
@@ -72,11 +72,12 @@ def collect(method: Method, now: Instant) -> Window:
     start = now.t - place * problem.segment.sample_time
     U, seen, at_points = _inputs(method, now)
     expected = method.measure(s.x, now.known, now.q.model, s.theta, now.t, s.z)[0]
+    gap = now.measured - expected  # not finite where the measurement or the prediction's output is not
     return Window(
         readable=readable,
         valid=valid,
         y=y,
-        innovation=kept(ca.if_else(valid, now.measured - expected, 0), 0),
+        innovation=ca.if_else(ca.logic_and(now.offered, finite(gap)), gap, 0),
         moving=s.k > L,
         place=place,
         Y=Y,
