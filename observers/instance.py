@@ -139,6 +139,8 @@ class Instance:
             cause = self.bad_input()
             if failure and not cause:
                 raise ValueError(failure)
+            if not cause and math.isfinite(component.max_step):
+                cause = f"; a model that is stiff there wants a smaller max_step than {component.max_step:.10g}"
             raise ValueError(
                 f"{component.name}: the state is not finite after the step from t = {t:.15g} to {clock.time:.15g}{cause}"
             )

@@ -60,3 +60,20 @@ def test_the_observers_estimate_is_near_the_truth(kind: str, truth: np.ndarray) 
         if k >= 100:
             largest = max(largest, abs(run.get("estimate.x") - truth[0, k + 1]))
     assert largest < 1e-2, largest
+
+
+def test_a_plant_that_is_stiffer_than_its_steps_says_which_argument_to_lower() -> None:
+    """At its start values the model is slow; where it goes it is not."""
+    model = Model(
+        name="late",
+        states=[Variable("x", start=1.0, nominal=0.1)],
+        inputs=[Variable("u")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [u.u - x.x**9],
+        output=lambda x, u, p, t: [x.x],
+    )
+    run = Instance(plant(model))
+    run.set("u", 1e6)
+    with pytest.raises(ValueError, match=r"late: the state is not finite .* smaller max_step than 0\.\d+"):
+        for k in range(100):
+            run.step(TS * k, TS)

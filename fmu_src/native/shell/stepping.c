@@ -165,6 +165,11 @@ static void report_state(Instance *self, const double *z, double t, double end)
                component.name, t, end, input, value);
     else if (has_failed(z))
         report_failure(self, z, "");
+    else if (isfinite(component.max_step))
+        report(self, fmi2Error, LOG_ERROR,
+               "%s: the state is not finite after the step from t = %.15g to %.15g; a model that is stiff there wants a "
+               "smaller max_step than %.10g.",
+               component.name, t, end, component.max_step);
     else
         report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.",
                component.name, t, end);
