@@ -88,6 +88,7 @@ def elementary(
         model=len(model.parameters),
         tuning=len(weighed),
         epsilon=1,
+        iteration_limit=1,
         visibility_limit=1,
         sample_time=1,
     )
@@ -109,7 +110,7 @@ def elementary(
             *elementary_ports.guesses(model, guess or {}),
             *ports.known_parameters(model),
             *weighed,
-            *elementary_ports.LIMITS,
+            *elementary_ports.limits(K),
             period,
         ),
         outputs=(

@@ -54,16 +54,18 @@ DIAGNOSTICS = (
         variability="discrete",
     ),
 )
-LIMITS = (
-    Port("tuning.epsilon", "change at or below which the iterations stop", start=1e-4, min=0.0, variability="tunable"),
-    Port(
-        "tuning.visibility_limit",
-        "diagnostics.visibility below which the status is undetermined",
-        start=1e-3,
-        min=0.0,
-        variability="tunable",
-    ),
-)
+
+
+def limits(K: int) -> tuple[Port, ...]:
+    """When the iterations of a sample end, and what counts as seen."""
+    epsilon = "change at or below which the iterations stop"
+    limit = "iterations a sample at most: what bounds its time; the next sample goes on from where they ended"
+    visibility = "diagnostics.visibility below which the status is undetermined"
+    return (
+        Port("tuning.epsilon", epsilon, start=1e-4, min=0.0, variability="tunable"),
+        Port("tuning.iteration_limit", limit, start=K, min=1, max=K, kind="Integer", variability="tunable"),
+        Port("tuning.visibility_limit", visibility, start=1e-3, min=0.0, variability="tunable"),
+    )
 
 
 def tuning(

@@ -76,7 +76,9 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     full = s.samples >= N - 1
     enough = full if waits else s.samples >= 1
     due = ca.logic_and(enough, ca.sum1(valid) > 0)
-    X_new, W_new, change, contraction, iterations = iterate(due, moved.X, moved.W, *window, c.tuning, c.epsilon)
+    X_new, W_new, change, contraction, iterations = iterate(
+        due, moved.X, moved.W, *window, c.tuning, c.epsilon, c.iteration_limit
+    )
     finite = ca.sumsqr(ca.vertcat(ca.vec(X_new), ca.vec(W_new))) < HUGE
     failed, accepted = ca.logic_and(due, ca.logic_not(finite)), ca.logic_and(due, finite)
     X, W = ca.if_else(accepted, X_new, moved.X), ca.if_else(accepted, W_new, moved.W)
