@@ -1,6 +1,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+LOCKED := .cache/lock
 
 DEMO := gong_example_1 gong_example_1_spline gong_example_2 gong_example_3a gong_example_3b gong_example_6
 
@@ -12,7 +13,7 @@ READY := $(VENV)/ready$(if $(CI),-ci)
 FUZZ_SECONDS := 300
 AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
-.PHONY: demo test bench fuzz setup ci-tools clean
+.PHONY: demo test bench fuzz setup ci-tools lock clean
 
 demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3 and 6, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
@@ -23,7 +24,7 @@ test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/python -m pytest $(MARKED)
+	$(BIN)/python -m pytest -n logical --dist worksteal $(MARKED)
 
 bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python build_fmus.py --only duffing_pseudospectral
@@ -37,9 +38,9 @@ fuzz: setup ## fuzz the FMUs' C for FUZZ_SECONDS (clang's libFuzzer and sanitize
 
 setup: $(READY)
 
-$(READY): pyproject.toml
+$(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --disable-pip-version-check -e ".[$(EXTRAS)]"
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
 # Wine runs the Windows binaries, qemu the ARM ones; gcc and tcc compile the sources; clang fuzzes; Ecos needs libtbb12.
@@ -49,6 +50,14 @@ ci-tools: ## Debian packages of other people's tools
 	dpkg-query --show --showformat='$${db:Status-Status}\n' $(CI_PACKAGES) 2>&1 | grep -Fvqx installed || exit 0; \
 	    $(AS_ROOT) apt-get update && \
 	    $(AS_ROOT) apt-get install --yes --no-install-recommends $(CI_PACKAGES)
+
+lock: ## renew constraints.txt: the newest versions that pyproject.toml allows
+	rm -rf $(LOCKED)
+	$(PYTHON) -m venv $(LOCKED)
+	$(LOCKED)/bin/python -m pip install --disable-pip-version-check -e ".[test,masters]"
+	{ echo "# The exact versions that make and CI install, by \`make lock\`: the same lock, the same bytes (docs/fmu.md)."; \
+	    $(LOCKED)/bin/python -m pip freeze --disable-pip-version-check --exclude observer-fmus; } > $(LOCKED)/constraints.txt
+	mv $(LOCKED)/constraints.txt constraints.txt
 
 clean:
 	rm -rf $(VENV) .cache fmus systems results build

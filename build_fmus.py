@@ -11,15 +11,20 @@ python build_fmus.py --target python                   PythonFMUs: for functions
 
 from __future__ import annotations
 
+import os
 import runpy
+import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
 
+from cosim.errors import suggest
 from cosim.system import Element, System, write_ssp
-from fmu_src import export
+from fmu_src import ExportError, export
 from observers.component import Component
 from reference_models import (
     calvillo_alamir,
@@ -64,14 +69,15 @@ def choose(only: Sequence[str]) -> Build:
     """
     unknown = [name for name in only if name not in FMUS and name not in SYSTEMS]
     if unknown:
-        raise KeyError(f"'{unknown[0]}' is neither an FMU ({', '.join(FMUS)}) nor a system ({', '.join(SYSTEMS)})")
+        known = [*FMUS, *SYSTEMS]
+        raise KeyError(f"'{unknown[0]}' is neither an FMU nor a system of the catalogue; {suggest(unknown[0], known)}")
     systems = {name: recipe for name, recipe in SYSTEMS.items() if not only or name in only}
     needed = {fmu for recipe in systems.values() for fmu in recipe.fmus.values()}
     return Build({name: made for name, made in FMUS.items() if not only or name in only or name in needed}, systems)
 
 
-def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]:
-    """The Components at module level of a Python file, by their names.
+def components_of(path: Path) -> dict[str, Source]:
+    """The Components at module level of a Python file, by their names, each with the plant among them that drives it.
 
     Modules beside the file can be imported in it, as when Python runs it.
 
@@ -79,7 +85,7 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
         ValueError: the file is missing, fails, defines none, or defines two of one name.
     """
     if not path.is_file():
-        raise ValueError(f"{path}: there is no such file")
+        raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'there is no such file'}")
     beside = str(path.resolve().parent)
     sys.path.insert(0, beside)
     try:
@@ -98,7 +104,20 @@ def components_of(path: Path) -> dict[str, tuple[Callable[[], Component], None]]
         raise ValueError(
             f"{path} defines no Component at module level, such as observer = pseudospectral(model, sample_time=0.1)"
         )
-    return {name: (_maker(component), None) for name, component in found.items()}
+    return {name: (_maker(component), _driver(component, found.values())) for name, component in found.items()}
+
+
+def _driver(component: Component, among: Iterable[Component]) -> Callable[[], Component] | None:
+    """The plant that drives `component` in its documentation: of those that put out all its measurements, the one it is named after.
+
+    A single one serves whatever its name.
+    """
+    flags = "measurement_valid."
+    measured = {port.name.removeprefix(flags) for port in component.inputs if port.name.startswith(flags)}
+    able = [other for other in among if measured and measured <= {port.name for port in other.outputs}]
+    named = [other for other in able if component.name.startswith(f"{other.name}_")]
+    chosen = max(named, key=lambda other: len(other.name)) if named else able[0] if len(able) == 1 else None
+    return _maker(chosen) if chosen is not None else None
 
 
 def _maker(component: Component) -> Callable[[], Component]:
@@ -112,15 +131,16 @@ def build_all(
     progress: Callable[[str, int, int], None] = lambda name, done, total: None,
     target: str = "native",
 ) -> list[Path]:
-    """Write the FMUs into `out` and the systems into the folder `systems` beside it; returns the files."""
+    """Write the FMUs into `out`, on all processors, and the systems into the folder `systems` beside it; returns the files.
+
+    `progress` is told what is being built, how many files are written and how many there will be.
+    """
     total = len(work.fmus) + len(work.systems)
-    written: list[Path] = []
-    for name, (make, driven_by) in work.fmus.items():
-        progress(name, len(written), total)
-        written.append(export(make(), out, platforms, driven_by() if driven_by else None, target))
+    exported: dict[str, Path] = {}
+    for name, path in _export_all(work.fmus, out, platforms, target, lambda name: progress(name, len(exported), total)):
+        exported[name] = path
+    written = [exported[name] for name in work.fmus]
     directory = out.resolve().parent / "systems"
-    if work.systems:
-        directory.mkdir(parents=True, exist_ok=True)
     for name, recipe in work.systems.items():
         progress(name, len(written), total)
         path = directory / f"{name}.ssp"
@@ -130,10 +150,42 @@ def build_all(
     return written
 
 
+def _export_all(
+    fmus: dict[str, Source], out: Path, platforms: Sequence[str], target: str, building: Callable[[str], None]
+) -> Iterator[tuple[str, Path]]:
+    """Name and path of each FMU when it is written; `building` is told the name of one that is being built."""
+    processes = min(len(fmus), os.cpu_count() or 1)
+    # Components do not pickle: other processes make them anew, by their names in the catalogue. A user's file runs once.
+    if processes < 2 or not fmus.items() <= FMUS.items():
+        for name, source in fmus.items():
+            building(name)
+            yield name, _export(source, out, platforms, target)
+        return
+    # Ctrl-C reaches all processes: this one answers, the others finish what they are at.
+    with ProcessPoolExecutor(processes, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        waiting = {pool.submit(_export_named, name, out, platforms, target): name for name in fmus}
+        building(next(iter(fmus)))
+        try:
+            for done in as_completed(list(waiting)):
+                yield waiting.pop(done), done.result()
+                if waiting:
+                    building(next(iter(waiting.values())))  # the first that was submitted is being built
+        except BrokenExecutor as error:
+            raise ExportError("a process that built FMUs was ended from outside: memory may have run out") from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _export(source: Source, out: Path, platforms: Sequence[str], target: str) -> Path:
+    make, driven_by = source
+    return export(make(), out, platforms, driven_by() if driven_by else None, target)
+
+
+def _export_named(name: str, out: Path, platforms: Sequence[str], target: str) -> Path:
+    return _export(FMUS[name], out, platforms, target)
+
+
 if __name__ == "__main__":
-    # The words of the command line call the functions above, not the other way round: they are wanted here only.
-    import typer
-
-    from commands.build import build
-
-    typer.run(build)
+    # The command line calls the functions above. By name, for an import here would close a circle.
+    sys.argv[1:1] = ["build"]
+    runpy.run_module("commands", run_name="__main__")

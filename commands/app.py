@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from commands.console import say
 from observers import __version__
 
 NAME = "observer-fmus"
@@ -20,12 +23,36 @@ class _Verbs(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         return list(VERBS)
 
+    def main(self, *args: Any, **options: Any) -> Any:
+        """As typer's own, but whatever a user gets wrong ends with one line: a wrong word, option or value, a file out of reach."""
+        if not options.setdefault("standalone_mode", True):
+            return super().main(*args, **options)
+        try:
+            code = super().main(*args, **(options | {"standalone_mode": False}))
+        except OSError as error:  # what no verb foresaw; where it did, it says what it was doing
+            say(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+            code = 2
+        except Exception as error:
+            if not hasattr(error, "format_message"):  # click's, typer's: whichever this version of typer brings
+                raise
+            if error.format_message():  # empty: no word at all was given, and the help has been shown
+                say(_sentence(error))
+            code = 2
+        sys.exit(code if isinstance(code, int) else 0)
+
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in VERBS:
             return None
         alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
         alone.command(cmd_name)(getattr(import_module(f"commands.{cmd_name}"), cmd_name))
         return typer.main.get_command(alone)
+
+
+def _sentence(error: Any) -> str:
+    """What typer says of a wrong command line, and whose help tells what is right."""
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context else NAME
+    return f"{error.format_message().rstrip('.')}; see {path} --help"
 
 
 app = typer.Typer(name=NAME, cls=_Verbs, no_args_is_help=True, pretty_exceptions_enable=False)
@@ -46,6 +73,6 @@ def observer_fmus(
     """Nonlinear state observers as FMI 2.0 co-simulation FMUs: build, couple, vary, replay and check them."""
 
 
-def main() -> None:
-    """The console script `observer-fmus`."""
-    app(prog_name=NAME)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """The console script `observer-fmus`; `arguments` instead of the process's."""
+    app(arguments, prog_name=NAME)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from build_fmus import Build, build_all, choose, components_of
 from commands.console import err, fail
-from fmu_src import ExportError
+from fmu_src import ExportError, ExportWarning
 
 
 def build(
@@ -19,7 +20,10 @@ def build(
         list[str] | None, typer.Option(help="An FMU or a system of the catalogue; can be given several times.")
     ] = None,
     platforms: Annotated[
-        str, typer.Option(help="host, all, or a list: linux64,win64,darwin64,aarch64-linux,aarch64-darwin.")
+        str,
+        typer.Option(
+            help="host, all, or some of linux64, win64, darwin64, aarch64-linux, aarch64-darwin, with commas."
+        ),
     ] = "host",
     out: Annotated[Path, typer.Option(help="Folder for the FMUs; the systems go into 'systems' beside it.")] = Path(
         "fmus"
@@ -31,19 +35,28 @@ def build(
 ) -> None:
     """Build the catalogue's FMUs and systems, or the FMUs of your own model.
 
-    Example: observer-fmus build --file my_model.py --platforms all
+    \b
+    Example:
+      observer-fmus build --file my_model.py --platforms all
     """
     if file is not None and only:
         fail("--file and --only exclude each other", 2)
     try:
         work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
+    except (ValueError, KeyError) as error:
+        fail(str(error.args[0]), 2)
+    try:
         columns = (
             TextColumn("{task.description:<32}"),
             BarColumn(),
             TextColumn("{task.completed}/{task.total}"),
             TimeElapsedColumn(),
         )
-        with Progress(*columns, console=err) as bar:
+        with (
+            warnings.catch_warnings(record=True) as notes,
+            Progress(*columns, console=err, disable=not err.is_terminal) as bar,
+        ):
+            warnings.simplefilter("always", ExportWarning)
             task = bar.add_task("", total=len(work.fmus) + len(work.systems))
             written = build_all(
                 work,
@@ -54,7 +67,9 @@ def build(
             )
     except OSError as error:
         fail(f"cannot write to {out}: {error.strerror or error}", 2)
-    except (ExportError, ValueError, KeyError) as error:
-        fail(str(error.args[0]) if isinstance(error, KeyError) else str(error), 2)
+    except (ExportError, ValueError) as error:
+        fail(str(error), 2)
     for path in written:
         print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")
+    for note in notes:
+        err.print(f"note: {note.message}", style="yellow", markup=False, highlight=False, soft_wrap=True)

@@ -55,7 +55,10 @@ def campaign(
 
     A campaign that was stopped goes on where it was when the same command is given again.
 
-    Example: observer-fmus campaign systems/gong_example_5.ssp --runs 100 --vary plant.start.x1=-1:1 --vary plant.sensor.seed
+    \b
+    Example:
+      observer-fmus campaign systems/gong_example_5.ssp --runs 100 \\
+        --vary plant.start.x1=-1:1 --vary plant.sensor.seed
     """
     # Dask takes longer to load than a run takes: only this command waits for it.
     from cosim.campaign.campaign import campaign as perform

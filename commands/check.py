@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from commands.console import err, fail
+from commands.console import err, fail, say
 from fmu_src.compliance.check import check as check_fmu
 from fmu_src.compliance.files.package import NotAnFmu
 from fmu_src.compliance.finding import Report
@@ -26,7 +26,9 @@ def check(
 
     One line for each finding. Exit code 0: none; 1: some; 2: a file could not be checked.
 
-    Example: observer-fmus check fmus/*.fmu --junit compliance.xml
+    \b
+    Example:
+      observer-fmus check fmus/*.fmu --junit compliance.xml
     """
     reports: list[Report] = []
     refused: dict[Path, str] = {}
@@ -35,7 +37,7 @@ def check(
             with err.status(escape(str(path))) as status:
                 report = check_fmu(path, lambda rule: status.update(escape(f"{path}: {rule}")))  # noqa: B023  # called here only
         except NotAnFmu as error:
-            err.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+            say(str(error))
             refused[path] = str(error)
             continue
         reports.append(report)

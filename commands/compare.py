@@ -28,7 +28,9 @@ def compare(
 ) -> None:
     """Run a system in several tools; print the largest difference of each variable. Fails above 1e-12 (relative).
 
-    Example: observer-fmus compare systems/gong_example_1.ssp --masters fmpy,ecos
+    \b
+    Example:
+      observer-fmus compare systems/gong_example_1.ssp --masters fmpy,ecos
     """
     try:
         recordings = record_all(system, [name.strip() for name in masters.split(",")])

@@ -39,9 +39,14 @@ def split_assignments(texts: list[str] | None, option: str = "--set", form: str 
     return found
 
 
+def say(message: str) -> None:
+    """One red line on stderr."""
+    err.print(Text(f"error: {' '.join(message.split())}", style="red"), soft_wrap=True)
+
+
 def fail(message: str, code: int) -> NoReturn:
     """End with one red line; `code` is 2 for a user's mistake, 1 for a failed run."""
-    err.print(Text(f"error: {' '.join(message.split())}", style="red"), soft_wrap=True)
+    say(message)
     raise typer.Exit(code)
 
 

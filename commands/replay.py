@@ -54,7 +54,9 @@ def replay(
 ) -> None:
     """Run an observer over a recorded file; write estimates.csv (all outputs at each sample instant) and report.html.
 
-    Example: observer-fmus replay fmus/duffing_ukf.fmu log.csv --map y=position
+    \b
+    Example:
+      observer-fmus replay fmus/duffing_ukf.fmu log.csv --map y=position
     """
     directory = out_directory or Path("results") / f"{fmu.stem}_replay"
     try:

@@ -33,7 +33,9 @@ def run(
 ) -> None:
     """Run a system once; write results.csv (all outputs of all FMUs) and report.html (figures).
 
-    Example: observer-fmus run systems/gong_example_1.ssp --set plant.sensor.seed=7
+    \b
+    Example:
+      observer-fmus run systems/gong_example_1.ssp --set plant.sensor.seed=7
     """
     directory = out_directory or Path("results") / system.stem
     overrides = split_assignments(assignments)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class SystemFileError(ValueError):
@@ -12,6 +13,11 @@ class SystemFileError(ValueError):
 
 class ExperimentError(ValueError):
     """What was asked of a system is impossible: an unknown variable, a value of the wrong kind, an unfit step."""
+
+
+def not_a_file(path: Path) -> str:
+    """The error message about a `path` that is no file."""
+    return f"{path}: is a folder, where a file is wanted" if path.is_dir() else f"{path}: there is no such file"
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

@@ -12,7 +12,7 @@ import fmpy
 from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
 from lxml import etree
 
-from cosim.errors import SystemFileError
+from cosim.errors import SystemFileError, not_a_file
 
 Value = float | int | bool | str
 
@@ -28,13 +28,15 @@ def read_description(fmu: Path) -> ModelDescription:
     Raises:
         SystemFileError: no such file, not an FMU, invalid XML (with its line), another FMI version, no co-simulation.
     """
-    if not fmu.is_file():
-        raise SystemFileError(f"{fmu}: there is no such file")
     try:
+        if not fmu.is_file():
+            raise SystemFileError(not_a_file(fmu))
         with zipfile.ZipFile(fmu) as archive:
             tree = etree.fromstring(archive.read("modelDescription.xml"))
     except (zipfile.BadZipFile, zlib.error):
         raise SystemFileError(f"{fmu}: not an FMU (not a sound zip file)") from None
+    except OSError as error:
+        raise SystemFileError(f"{fmu}: cannot be read: {error.strerror or error}") from None
     except KeyError:
         raise SystemFileError(f"{fmu}: not an FMU (there is no modelDescription.xml in it)") from None
     except etree.XMLSyntaxError as error:

@@ -54,15 +54,17 @@ class Result:
     upstream: Mapping[str, frozenset[str]]
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The column `name`, (n,).
+        """The column `name`, or "time" [s]; (n,).
 
         Raises:
             KeyError: there is none; the message lists near matches.
         """
+        if name == "time":  # every column of results.csv has its name there: <element>.<variable>, and this one
+            return self.time
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
-            raise KeyError(f"no column '{name}'; {suggest(name, self.names)}") from None
+            raise KeyError(f"no column '{name}'; {suggest(name, ('time', *self.names))}") from None
 
 
 def write_csv(result: Result, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -9,6 +10,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1]))  # for demo.py, which is no part of the package
 
 from cosim.master import run
 from cosim.results import Result

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import uuid
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from fmu_src.archive import write_zip
 from fmu_src.description.model_description import describe
 from fmu_src.documentation import pages as documentation
 from fmu_src.documentation.reference import reference_files
-from fmu_src.errors import ExportError
+from fmu_src.errors import ExperimentFailed, ExportError, ExportWarning
 from fmu_src.native.compiler import compile_library
 from fmu_src.native.sources import fixed_sources, functions, prefix, tables
 from fmu_src.platforms import PLATFORMS, resolve
@@ -29,7 +30,8 @@ def export(
 ) -> Path:
     """Write `<directory>/<component.name>.fmu`, an FMI 2.0 co-simulation FMU, and return its path.
 
-    The same arguments give the same bytes. The file appears under its name only when it is complete.
+    The same arguments give the same bytes. A default experiment that fails is an ExportWarning, and the FMU then has no plot and no
+    reference results. The file appears under its name only when it is complete.
 
     Args:
         platforms: names of PLATFORMS, "host" for this machine's, "all" for each of them that the target knows.
@@ -44,10 +46,15 @@ def export(
     if target not in TARGETS:
         raise ExportError(f"target '{target}' is unknown; known: {', '.join(TARGETS)}")
     guid, contents = TARGETS[target](component, platforms)
-    contents |= documentation.pages(component, guid, driven_by, target)
-    contents |= reference_files(component, driven_by)
+    try:
+        references, failure = reference_files(component, driven_by), ""
+    except ExperimentFailed as error:
+        references, failure = {}, str(error)
+    contents |= references | documentation.pages(component, guid, driven_by, target, bool(references))
     path = Path(directory) / f"{component.name}.fmu"
     write_zip(path, contents)
+    if failure:
+        warnings.warn(f"{path.name} is built, but {failure}", ExportWarning, stacklevel=2)
     return path
 
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import casadi as ca
 
+from observers import units
 from observers.component import Component, Port
 from observers.numerics.layout import Layout
 
@@ -100,10 +101,10 @@ def _source(where: str, observer: Component, source: str, port: Port) -> int:
 
 
 def _check_fit(where: str, source: Port, goal: Port, taking: str) -> None:
-    """As between FMUs: types agree, nothing converts units, and an end without a unit or a dimensionless one fits any."""
+    """As between FMUs: types agree, nothing converts units, and an end without a unit, or a dimensionless one, fits any."""
     if source.kind != goal.kind:
         raise ValueError(f"{where}: '{source.name}' is of type {source.kind}, but {taking} as {goal.kind}")
-    if not {"", "1"} & {source.unit, goal.unit} and source.unit != goal.unit:
+    if not {"1", units.NONE} & {source.unit, goal.unit} and source.unit != goal.unit:
         raise ValueError(f"{where}: '{source.name}' is in {source.unit}, but {taking} in {goal.unit}")
 
 

@@ -1,7 +1,9 @@
 """The Python face of a component: the same functions and the same time semantics as the FMU's shell, step by step.
 
-Time is counted, never accumulated: sample instants are t0 + k Ts, and every time that a master hands in is snapped first to whole
-nanoseconds and then to a sample instant nearby, so that masters which accumulate, multiply or round times get identical bits.
+Time is counted, never accumulated: sample instants are t0 + k Ts, and a step moves the clock by h in units of Ts, whatever the master
+calls the time (`clock.py`): steps of h = Ts (1 +- 1e-6) take one sample each for as long as the run goes, and masters that add up,
+multiply or round their times get identical bits. In a step from t to t + h every sample instant in [t, t + h) jumps with the inputs
+that were set before, then the state flows to t + h.
 """
 
 from __future__ import annotations
@@ -13,12 +15,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from observers.clock import COARSE, NANOSECONDS, RESOLUTION, SNAP, Clock
 from observers.component import Component, bounds, check_sample_time
 
-NANOSECONDS = 1e9
-SNAP = 1e-6  # of a sample time, or of a second if that is less: times closer than this are the same
-RESOLUTION = 4 * float(np.finfo(float).eps)  # of a time: what two masters' sums for it may differ by
-COARSE = 0.01  # of a sample time: where RESOLUTION exceeds this, sample instants cannot be told apart
+MOST_SUBSTEPS = 1e6  # in one step: nothing can interrupt them
 
 
 class Instance:
@@ -63,12 +63,11 @@ class Instance:
             check_sample_time(component.name, sample_time, self.sample_time)
         else:
             self.sample_time = float(sample_time)
-        self._breaks = sorted(self.p[self._p_index[name]] for name in component.breaks)
-        self.t0 = self.time = t0
+        self._breaks = sorted(self.p[self._p_index[name]] - t0 for name in component.breaks)  # [s since t0]
+        self.clock = Clock(t0, self.sample_time, label=t0)
         self.stop = stop
-        self.ticks = 0
         self.z = self._evaluate["start"](self.p, t0)
-        if failure := self._failure(self.z):
+        if failure := self.failure(self.z):
             raise ValueError(f"{failure}, for the start values")
         if not np.all(np.isfinite(self.z)):
             raise ValueError(f"{component.name}: the start values give no finite state at t = {t0:g}")
@@ -91,13 +90,27 @@ class Instance:
         """The output `name` at the current time.
 
         Raises:
-            ValueError: there is none.
+            ValueError: there is none; see `outputs`.
         """
         return float(self.outputs()[self._index(self._y_index, "output", name)])
 
     def outputs(self) -> np.ndarray:
-        """All outputs at the current time, in the component's order."""
-        return self._evaluate["output"](self.z, self.u, self.p, self.time)
+        """All outputs at the current time, in the component's order.
+
+        Raises:
+            ValueError: one is not finite, though all inputs are. An input that is not finite may show in an output that it feeds.
+        """
+        return self._outputs(self.z, self.time)
+
+    @property
+    def time(self) -> float:
+        """Current time [s]."""
+        return self.clock.time
+
+    @property
+    def ticks(self) -> int:
+        """Sample instants so far."""
+        return self.clock.ticks
 
     def step(self, t: float, h: float, derivatives: np.ndarray | float = 0.0) -> None:
         """From t to t + h: every sample instant in [t, t + h) jumps with the inputs set before, then the state flows to t + h.
@@ -105,65 +118,91 @@ class Instance:
         `derivatives` of the inputs (n_u) [their units per s] extrapolate them linearly within this step.
 
         Raises:
-            ValueError: t is not the current time, h is not positive or exceeds the sample time of a component that samples
-                its inputs, t + h lies beyond the stop time, t is so large that doubles cannot tell sample instants
-                apart, the state would not be finite, or the component's motion cannot go on. The instance is then unchanged.
+            ValueError: t is half a step or more off the current time, h is not positive or exceeds the sample time of a component that
+                samples its inputs, t + h lies beyond the stop time, t is so large that doubles cannot tell steps or sample instants
+                apart, h takes more than 10^6 substeps, the state or an output would not be finite, or the component's motion
+                cannot go on. The instance is then unchanged.
         """
-        component, ts = self.component, self.sample_time
-        if not (math.isfinite(h) and h > 0):
-            raise ValueError(f"{component.name}: step size h = {h:g} must be positive")
-        if not abs(t - self.time) <= self._tolerance(self.time):
-            raise ValueError(f"{component.name}: step from t = {t:.15g}, but the current time is {self.time:.15g}")
-        if component.samples_inputs and ts > 0 and h > ts * (1 + SNAP):
-            raise ValueError(f"{component.name}: step size h = {h:g} exceeds the sample time {ts:g}")
-        end = self._snap(t + h)
-        if end > self.stop + self._tolerance(self.stop):
-            raise ValueError(
-                f"{component.name}: the step from t = {t:.15g} to {end:.15g} goes beyond the stop time {self.stop:.15g}"
-            )
-        if not (end >= self.time and math.isfinite(end)):
-            raise ValueError(
-                f"{component.name}: a step to t = {end:.15g} is impossible from the current time {self.time:.15g}"
-            )
-        if ts > 0 and RESOLUTION * abs(end) > COARSE * ts:
-            raise ValueError(
-                f"{component.name}: at t = {end:.15g} times are exact to {RESOLUTION * abs(end):.2g} s only, "
-                f"too coarse for the sample time {ts:g}"
-            )
-        now, z, ticks, slack = self.time, self.z, self.ticks, self._tolerance(end)
-        while True:
-            tick = self.t0 + ticks * ts if ts > 0 else math.inf
-            due = tick < end - slack
-            if due and tick <= now + slack:
-                if component.jump is not None:
-                    z = self._evaluate["jump"](z, self._inputs(derivatives, tick), self.p, tick)
-                ticks += 1
-                continue
-            until = tick if due else end
-            for instant in self._breaks:
-                if now + 1 / NANOSECONDS < instant < until - 1 / NANOSECONDS:
-                    until = instant
-                    break
-            z = self._flow(z, now, until, derivatives)
-            now = until
-            if not due and until == end:
-                break
-        failure = self._failure(z)
+        component = self.component
+        clock = self._clock_after(t, h)
+        z, now = self.z, self.clock.elapsed
+        for k in range(self.clock.ticks, clock.ticks):
+            tick = k * self.sample_time
+            if tick > now:
+                z = self._flow(z, now, tick, derivatives)
+                now = tick
+            if component.jump is not None:
+                z = self._evaluate["jump"](z, self._inputs(derivatives, tick), self.p, self.clock.t0 + tick)
+        z = self._flow(z, now, clock.elapsed, derivatives)
+        failure = self.failure(z)
         if failure or not np.all(np.isfinite(z)):
-            bad = [
-                f", where the input {n} is {self.u[i]:g}"
-                for n, i in self._u_index.items()
-                if not np.isfinite(self.u[i])
-            ]
-            cause = bad[0] if bad else ""
+            cause = self.bad_input()
             if failure and not cause:
                 raise ValueError(failure)
+            if not cause and math.isfinite(component.max_step):
+                cause = f"; a model that is stiff there wants a smaller max_step than {component.max_step:.10g}"
             raise ValueError(
-                f"{component.name}: the state is not finite after the step from t = {t:g} to {t + h:g}{cause}"
+                f"{component.name}: the state is not finite after the step from t = {t:.15g} to {clock.time:.15g}{cause}"
             )
-        self.time, self.z, self.ticks = end, z, ticks
+        self._outputs(z, clock.time)
+        self.clock, self.z = clock, z
 
-    def _failure(self, z: np.ndarray) -> str:
+    def _clock_after(self, t: float, h: float) -> Clock:
+        """The clock after the step, if the step is legal."""
+        name, clock, ts, longest = self.component.name, self.clock, self.sample_time, self.component.max_step
+        if not (math.isfinite(h) and h > 0):
+            raise ValueError(f"{name}: step size h = {h:.10g} must be positive")
+        if (off := clock.error_of(t, h)) != 0:
+            raise ValueError(
+                f"{name}: step from t = {t:.15g}, but the current time is {clock.label:.15g} ({clock.time:.15g} by the count "
+                f"of steps): off by {off:.3g} steps of {h:.10g}"
+            )
+        rounding = RESOLUTION * abs(t + h)
+        if self.component.samples_inputs and ts > 0 and h > ts * (1 + SNAP) + rounding:
+            raise ValueError(f"{name}: step size h = {h:.10g} exceeds the sample time {ts:.10g}")
+        if ts > 0 and rounding > COARSE * ts:
+            raise ValueError(
+                f"{name}: at t = {t + h:.15g} times are exact to {rounding:.2g} s only, too coarse for the sample time {ts:.10g}"
+            )
+        if rounding > h / 2:
+            raise ValueError(
+                f"{name}: at t = {t + h:.15g} times are exact to {rounding:.2g} s only, too coarse for the step size {h:.10g}"
+            )
+        try:
+            after = clock.after(t, h)
+        except OverflowError:
+            raise ValueError(
+                f"{name}: a step to t = {t + h:.15g} is impossible from the current time {clock.time:.15g}"
+            ) from None
+        end, slack = min(t + h, after.time), max(SNAP * min(ts, 1.0), 1 / NANOSECONDS, RESOLUTION * abs(self.stop))
+        if end > self.stop + slack:
+            raise ValueError(
+                f"{name}: the step from t = {t:.15g} to {end:.15g} goes beyond the stop time {self.stop:.15g}"
+            )
+        needed = h / longest + (after.ticks - clock.ticks)
+        if needed > MOST_SUBSTEPS:
+            raise ValueError(
+                f"{name}: a step of h = {h:.10g} takes {needed:.3g} substeps (max_step = {longest:.10g}, sample time "
+                f"{ts:.10g}), and no more than {MOST_SUBSTEPS:.0f} are taken at once: nothing could interrupt them"
+            )
+        return after
+
+    def bad_input(self) -> str:
+        """Which input is not finite; empty if all are."""
+        for name, i in self._u_index.items():
+            if not np.isfinite(self.u[i]):
+                return f", where the input {name} is {self.u[i]:g}"
+        return ""
+
+    def _outputs(self, z: np.ndarray, time: float) -> np.ndarray:
+        y = self._evaluate["output"](z, self.u, self.p, time)
+        bad = np.flatnonzero(~np.isfinite(y))
+        if bad.size and not self.bad_input():
+            name = self.component.outputs[bad[0]].name
+            raise ValueError(f"{self.component.name}: the output {name} is {y[bad[0]]:g} at t = {time:.15g}")
+        return y
+
+    def failure(self, z: np.ndarray) -> str:
         """What the component says of a motion that could not go on; empty where it could."""
         failures = self.component.failures
         if not failures or z[-3] == 0:
@@ -172,33 +211,31 @@ class Instance:
         return f"{self.component.name}: {failure.what} at t = {time:.10g}, where {failure.measure} is {measure:.4g}"
 
     def _flow(self, z: np.ndarray, start: float, end: float, derivatives: np.ndarray | float) -> np.ndarray:
+        """From `start` to `end` [s since t0], cut at the breaks."""
+        for instant in self._breaks:
+            if start + 1 / NANOSECONDS < instant < end - 1 / NANOSECONDS:
+                z = self._substeps(z, start, instant, derivatives)
+                start = instant
+        return self._substeps(z, start, end, derivatives)
+
+    def _substeps(self, z: np.ndarray, start: float, end: float, derivatives: np.ndarray | float) -> np.ndarray:
         substeps = max(1, math.ceil((end - start) / self.component.max_step - SNAP))
         h = (end - start) / substeps
         for i in range(substeps):
-            t = start + i * h
-            z = self._evaluate["flow"](z, self._inputs(derivatives, t + h / 2), self.p, t, h)
+            s = start + i * h
+            z = self._evaluate["flow"](z, self._inputs(derivatives, s + h / 2), self.p, self.clock.t0 + s, h)
         return z
 
-    def _inputs(self, derivatives: np.ndarray | float, t: float) -> np.ndarray:
-        """The inputs at time t within the step."""
-        return self.u + derivatives * (t - self.time) if np.any(derivatives) else self.u
-
-    def _tolerance(self, t: float) -> float:
-        """How far two times at about t may lie apart and still be the same."""
-        return max(SNAP * min(self.sample_time, 1.0), 1 / NANOSECONDS, RESOLUTION * abs(t))
-
-    def _snap(self, t: float) -> float:
-        t = self.t0 + float(np.rint((t - self.t0) * NANOSECONDS)) / NANOSECONDS
-        if self.sample_time > 0:
-            instant = self.t0 + float(np.rint((t - self.t0) / self.sample_time)) * self.sample_time
-            if abs(t - instant) <= self._tolerance(t):
-                return instant
-        return t
+    def _inputs(self, derivatives: np.ndarray | float, s: float) -> np.ndarray:
+        """The inputs at time s [s since t0] within the step."""
+        return self.u + derivatives * (s - self.clock.elapsed) if np.any(derivatives) else self.u
 
     def _set_parameter(self, name: str, value: float) -> None:
         index = self._index(self._p_index, "parameter", name)
         port = self.component.parameters[index]
         low, high = bounds(port)
+        if math.isinf(value):
+            raise ValueError(f"{self.component.name}: {name} = {value:g} must be finite")
         if not low <= value <= high:
             raise ValueError(f"{self.component.name}: {name} = {value:.10g} lies outside [{low:.10g}, {high:.10g}]")
         if port.kind != "Real" and not float(value).is_integer():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -9,7 +10,10 @@ import numpy as np
 
 from observers.model import Model, ModelError, Variable
 from observers.numerics.algebraic import solution
-from observers.numerics.semilinear import unreachable
+from observers.numerics.runge_kutta import STABLE, stable_step
+from observers.numerics.semilinear import split, unreachable
+
+MOST_SUBSTEPS = 256  # of the longest step, for the sake of a bound
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,32 @@ def refuse_undetectable(model: Model, method: str) -> None:
             f"{method}: model '{model.name}' is not detectable: no output ever sees {names}, "
             f"whose slowest mode has the rate {slowest:g} 1/s at the start values, not below 0"
         )
+
+
+def prediction_step(model: Model, longest: float) -> float:
+    """The longest step of the prediction [s]: `longest`, halved until Dormand and Prince's method is stable where the model is looked at.
+
+    That is at the start values, one state at a time at its bounds and a nominal value to either side, and in its constant linear part. A
+    model that is stiff elsewhere wants a smaller `longest`, and so does one whose bounds would want more than MOST_SUBSTEPS of them: no
+    motion is meant to come there.
+    """
+    eq = model.equations
+    driven = ca.vertcat(eq.u, eq.w)
+    looked_at = [split(eq.ode, eq.x, driven).A]
+    if not model.algebraic:
+        jacobian = ca.Function("jacobian", [eq.x, eq.u, eq.w, eq.p, eq.theta, eq.t], [ca.jacobian(eq.ode, eq.x)])
+        groups = (model.inputs, model.unknown_disturbances, model.parameters, model.unknown_parameters)
+        others = [np.array([v.start for v in group]) for group in groups]
+        start = np.array([v.start for v in model.states])
+        points = [start]
+        for i, v in enumerate(model.states):
+            for value in (v.min, v.max, v.start - v.nominal, v.start + v.nominal):
+                if v.min <= value <= v.max and math.isfinite(value):
+                    points.append(np.where(np.arange(len(start)) == i, value, start))
+        found = [jacobian(x, *others, 0.0).full() for x in points]
+        looked_at += [A for A in found[:1] if np.all(np.isfinite(A))]
+        looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < STABLE * MOST_SUBSTEPS]  # false for NaN
+    return stable_step(looked_at, longest)
 
 
 def linearisation(model: Model) -> Linearisation:

@@ -17,7 +17,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
@@ -49,8 +49,13 @@ class Variable:
     nominal: float = 1.0
     min: float = -math.inf
     max: float = math.inf
+    NEEDS_UNIT: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        if self.NEEDS_UNIT and not self.unit:
+            raise ModelError(
+                f"variable '{self.name}': unit = '' is no unit expression; a number without a unit has '1'"
+            )
         for what in ("start", "nominal"):
             if not math.isfinite(getattr(self, what)):
                 raise ModelError(f"variable '{self.name}': {what} = {getattr(self, what)} is not finite")
@@ -95,6 +100,8 @@ class Model:
         algebraic_equations: `(x, z, u, p, t) -> [g_1, ...]`, each zero.
         unknown_disturbances: time-varying inputs that nobody measures; `u.<name>`.
         input_between_samples: what a known input does between two samples, "held" or "linear".
+        output_starts: what a sensor shows before anything has moved: each output's own start value where it has one, else the output at the
+            start values of everything, at t = 0.
 
     Raises:
         ModelError: names that are no identifiers, not unique, or (inputs, outputs) one of BRANCHES; unknown names in an
@@ -116,6 +123,7 @@ class Model:
     input_between_samples: str = "held"
     description: str = ""
     equations: Equations = field(init=False, repr=False, compare=False)
+    output_starts: tuple[float, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         self._check_names()
@@ -125,7 +133,12 @@ class Model:
             )
         if bool(self.algebraic) != (self.algebraic_equations is not None):
             raise ModelError(f"model '{self.name}': algebraic variables and algebraic_equations go together")
-        object.__setattr__(self, "equations", self._build())
+        equations = self._build()
+        object.__setattr__(self, "equations", equations)
+        at_start = self._finite_at_start(equations)
+        # Fewer digits than machines agree in: they become start values of FMUs, whose bytes must not depend on the machine.
+        shown = tuple(v.start or float(f"{value:.12g}") for v, value in zip(self.outputs, at_start, strict=True))
+        object.__setattr__(self, "output_starts", shown)
 
     def _groups(self) -> dict[str, Sequence[Variable]]:
         return {
@@ -201,14 +214,13 @@ class Model:
             else ca.SX(0, 1),
             output=evaluate("output", self.output, self.outputs),
         )
-        self._check_finite(made)
         for variable, expression in zip(self.outputs, ca.vertsplit(made.output), strict=True):
             if not ca.depends_on(expression, ca.vertcat(made.x, made.z)):
                 raise ModelError(f"model '{self.name}': output '{variable.name}' depends on no state")
         return made
 
-    def _check_finite(self, made: Equations) -> None:
-        """Raise a ModelError that names the first equation which is not finite at the start values, at t = 0."""
+    def _finite_at_start(self, made: Equations) -> list[float]:
+        """The outputs at the start values, at t = 0; a ModelError that names the first equation which is not finite there."""
         groups = (
             self.states,
             self.algebraic,
@@ -224,12 +236,13 @@ class Model:
             ("algebraic_equations", made.algebraic, self.algebraic),
             ("output", made.output, self.outputs),
         ):
-            values = ca.Function("at_start", symbols, [ca.densify(expressions)])(*starts, 0).full().ravel()
+            values = ca.Function("at_start", symbols, [ca.densify(expressions)])(*starts, 0).full().ravel().tolist()
             for variable, value in zip(variables, values, strict=True):
                 if not math.isfinite(value):
                     raise ModelError(
                         f"model '{self.name}', {what}: the equation for '{variable.name}' is {value:g} at the start values"
                     )
+        return values
 
     def __str__(self) -> str:
         lines = [f"Model {self.name}" + (f": {self.description}" if self.description else "")]

@@ -1,23 +1,58 @@
 """The ports that every observer of a model has: the names of design and documentation, made in one place.
 
-Inputs are the model's outputs, then its known inputs. `estimate.*` is of the current time, `filtered.*` of the last sample instant.
+The arguments that all observers share:
+    model: the equations; what a method cannot treat it refuses by name.
+    sample_time: Ts [s], start value of the fixed parameter `sample_time`; finite, at least SHORTEST_SAMPLE_TIME.
+    guess: by name, start values of `guess.*` that differ from the model's: states and what else is estimated.
+    name: the component's, hence the FMU's; `<model>_<observer>` if absent.
+    max_step: the longest step of the prediction between samples [s]; a longer one is cut into equal parts.
+    stop_time: of the default experiment [s].
+Those of ukf, riccati, least_squares and pseudospectral with an arrival cost, start values of parameters, by name:
+    process_noise: `tuning.process_noise.<state or unknown parameter>`, in the variable's unit per sqrt(s): between samples the
+        variance grows at the rate of its square.
+    measurement_noise: `tuning.measurement_noise.<output>`, standard deviation of a sample.
+    initial_std: `tuning.initial_std.<state or unknown parameter>`, standard deviation of the guess; fixed.
+A name that is not in the mapping has the method's own part of the variable's nominal value.
+
+Inputs are the model's outputs, its known inputs, then a flag for each output that says whether its sample has arrived. `estimate.*` is of
+the current time, `filtered.*` of the last sample instant.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
+import casadi as ca
+
+from observers import units
 from observers.component import SHORTEST_SAMPLE_TIME, Enumeration, Port
 from observers.model import Model, ModelError, Variable
+from observers.numerics.finite import HUGE
 
-PROCESS_NOISE = "process noise intensity per sqrt(s) of"
-MEASUREMENT_NOISE = "standard deviation of a sample of"
-INITIAL_STD = "standard deviation of the guess of"
+
+@dataclass(frozen=True)
+class Deviation:
+    """What a standard deviation of the tuning is: `text`; `per_root_second`: in the variable's unit per sqrt(s), an intensity."""
+
+    text: str
+    per_root_second: bool = False
+
+
+PROCESS_NOISE = Deviation("process noise intensity of", per_root_second=True)
+MEASUREMENT_NOISE = Deviation("standard deviation of a sample of")
+INITIAL_STD = Deviation("standard deviation of the guess of")
 COUNTERS = (
     Port("diagnostics.rejected_samples", "samples rejected so far", kind="Integer", variability="discrete"),
     Port("diagnostics.solver_failures", "solves that failed so far", kind="Integer", variability="discrete"),
+)
+
+# A paragraph of an FMU's documentation.
+VALIDITY_HTML = (
+    "<p>Where a sample has not arrived, set its <code>measurement_valid.*</code> to false for that step: it then takes no part in the "
+    "correction and does not count as rejected.</p>"
 )
 
 
@@ -50,9 +85,12 @@ def last_name(port: Port) -> str:
 
 
 def inputs(model: Model) -> tuple[Port, ...]:
-    """Measurements, then known inputs, by the model's names."""
+    """Measurements, then known inputs, by the model's names. A measurement that nobody connects is that of the start values."""
     return (
-        *(_like(v.name, v, "measured", "continuous") for v in model.outputs),
+        *(
+            replace(_like(v.name, v, "measured", "continuous"), start=start)
+            for v, start in zip(model.outputs, model.output_starts, strict=True)
+        ),
         *(_like(v.name, v, "known input:", "continuous") for v in model.inputs),
     )
 
@@ -69,6 +107,37 @@ def validity(model: Model) -> tuple[Port, ...]:
         )
         for v in model.outputs
     )
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The parts of the input vector u: `y` (ny), measured, `known` (nu), and `offered` (ny), 1 where `measurement_valid` is true."""
+
+    y: Any
+    known: Any
+    offered: Any
+
+
+def n_inputs(model: Model) -> int:
+    """The length of the input vector: `inputs`, then `validity`."""
+    return 2 * len(model.outputs) + len(model.inputs)
+
+
+def read(model: Model, u: Any) -> Inputs:
+    """The parts of u, a CasADi column with `n_inputs` entries."""
+    ny, nu = len(model.outputs), len(model.inputs)
+    known = u[ny : ny + nu] if nu else type(u)(0, 1)  # an empty slice would be 1 x 0
+    return Inputs(u[:ny], known, u[ny + nu :] > 0.5)
+
+
+def judged(values: Any, offered: Any) -> tuple[Any, Any]:
+    """(valid, rejected): which measurements act (ny), and whether one that was offered is not finite.
+
+    `values` (ny): the measurements, or what a method makes of them before they act.
+    """
+    finite = ca.fabs(values) <= HUGE  # false for NaN
+    valid = ca.logic_and(finite, offered)
+    return valid, ca.sum1(ca.logic_and(offered, ca.logic_not(finite))) > 0
 
 
 def guesses(model: Model, guess: Mapping[str, float]) -> tuple[Port, ...]:
@@ -108,7 +177,7 @@ def innovations(model: Model) -> tuple[Port, ...]:
         Port(
             f"diagnostics.innovation[{i}]" if several else "diagnostics.innovation",
             f"measured minus predicted {v.description or v.name}",
-            v.unit,
+            units.difference(v.unit),
             nominal=v.nominal,
             variability="discrete",
         )
@@ -123,7 +192,7 @@ def _estimated(model: Model) -> tuple[Variable, ...]:
 def deviations(
     owner: str,
     group: str,
-    text: str,
+    what: Deviation,
     variables: Sequence[Variable],
     values: Mapping[str, float] | None,
     part: float,
@@ -132,19 +201,22 @@ def deviations(
 ) -> tuple[Port, ...]:
     """`tuning.<group>.<variable>`, standard deviations or intensities; by default `part` of the nominal values.
 
+    A standard deviation has its variable's unit. An intensity, in that unit per sqrt(s), has none that FMI could say: the description does.
+
     Raises:
         ModelError: a name in `values` that is none of the `variables`.
     """
     given = dict(values or {})
     made = []
     for v in variables:
-        start, what = given.pop(v.name, part * v.nominal), v.description or v.name
+        unit = units.difference(v.unit)
+        words = f", in {unit} per sqrt(s)" if what.per_root_second else ""
         made.append(
             Port(
                 f"tuning.{group}.{v.name}",
-                f"{text} {what}",
-                "1",
-                start,
+                f"{what.text} {v.description or v.name}{words}",
+                units.NONE if what.per_root_second else unit,
+                given.pop(v.name, part * v.nominal),
                 min=smallest * v.nominal,
                 variability=variability,
             )
@@ -152,6 +224,12 @@ def deviations(
     if given:
         raise ModelError(f"{owner}: {group} of '{next(iter(given))}'; known: {', '.join(v.name for v in variables)}")
     return tuple(made)
+
+
+def refuse_both(owner: str, paper: str, by_paper: object, deviation: str, by_deviation: object) -> None:
+    """Raise a ValueError if the same thing is given in both ways, neither of them None."""
+    if by_paper is not None and by_deviation is not None:
+        raise ValueError(f"{owner}: {paper} and {deviation} say the same thing: give one of them")
 
 
 def _like(name: str, v: Variable, text: str, variability: str) -> Port:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
 from observers.component import Component, Failure, Port
+from observers.linearisation import prediction_step
 from observers.model import Model, Variable
 from observers.numerics import noise
-from observers.numerics.runge_kutta import stable_step
-from observers.numerics.semilinear import split
 from reference_models.motion import consistent, move
 
 NEVER = 1e30  # a jump time beyond any run
@@ -41,7 +40,8 @@ def plant(
 
     Args:
         jumps: how many jumps of which unknown parameters.
-        max_step: the longest step of the eighth-order Runge-Kutta method [s]; shortened where the model's constant linear part is stiff.
+        max_step: the longest step of the eighth-order Runge-Kutta method [s]; shortened as
+            `observers.linearisation.prediction_step` says.
         stop_time, step_size: the default experiment [s].
 
     Raises:
@@ -52,47 +52,8 @@ def plant(
         if name not in {v.name for v in model.unknown_parameters}:
             raise ValueError(f"plant '{model.name}': jumps of '{name}', which is no unknown parameter")
 
-    starts = [
-        _port(f"start.{v.name}", v, "fixed", f"start value of the {v.description or v.name}") for v in model.states
-    ]
-    guesses = [
-        _port(f"start.{v.name}", v, "fixed", f"guess of the start value of the {v.description or v.name}")
-        for v in model.algebraic
-    ]
-    constants = [_port(f"parameter.{v.name}", v, "tunable") for v in model.parameters]
-    unknowns = [_port(f"parameter.{v.name}", v, "tunable") for v in model.unknown_parameters]
-    jump_ports: list[Port] = []
-    for v in model.unknown_parameters:
-        for i in range(1, jumps.get(v.name, 0) + 1):
-            jump_ports.append(
-                Port(
-                    f"parameter.{v.name}_jump_time[{i}]",
-                    f"time of jump {i} of {v.name}",
-                    "s",
-                    NEVER,
-                    min=0.0,
-                    variability="fixed",
-                )
-            )
-            jump_ports.append(
-                _port(f"parameter.{v.name}_jump_value[{i}]", v, "tunable", f"{v.description or v.name} after jump {i}")
-            )
-    unit = model.outputs[0].unit
-    sensor = [
-        Port("sensor.noise_bound", "half-width of the uniform measurement noise", unit, min=0.0, variability="tunable"),
-        Port(
-            "sensor.noise_std",
-            "standard deviation of the Gaussian measurement noise",
-            unit,
-            min=0.0,
-            variability="tunable",
-        ),
-        Port("sensor.seed", "seed of the noise", min=0, max=noise.LARGEST_SEED, kind="Integer", variability="fixed"),
-        Port("sensor.sample_time", "sample time of the noise; 0: clean measurement", "s", min=0.0, variability="fixed"),
-    ]
-    parameters = (*starts, *guesses, *constants, *unknowns, *jump_ports, *sensor)
-
-    p = {port.name: ca.SX.sym(port.name) for port in parameters}
+    ports = _parameters(model, jumps)
+    p = {port.name: ca.SX.sym(port.name) for port in ports.all}
     p_all = ca.vertcat(*p.values())
     nx, ny, nz = len(model.states), len(model.outputs), len(model.algebraic)
     driven = (*model.inputs, *model.unknown_disturbances)
@@ -103,20 +64,11 @@ def plant(
     eq = model.equations
     inputs = ca.vertcat(eq.u, eq.w)
     known = ca.vertcat(*[p[f"parameter.{q.name}"] for q in model.parameters])
-    longest = stable_step(split(eq.ode, eq.x, inputs).A, max_step)
+    longest = prediction_step(model, max_step)
     measure = ca.Function("measure", [eq.x, eq.z, inputs, eq.p, eq.theta, eq.t], [eq.output])
 
     def unknown(time: ca.SX) -> ca.SX:
-        """The unknown parameters at `time`: piecewise constant, the new value for time > jump time."""
-        values = []
-        for q in model.unknown_parameters:
-            value = p[f"parameter.{q.name}"]
-            for i in range(1, jumps.get(q.name, 0) + 1):
-                value = ca.if_else(
-                    time > p[f"parameter.{q.name}_jump_time[{i}]"], p[f"parameter.{q.name}_jump_value[{i}]"], value
-                )
-            values.append(value)
-        return ca.vertcat(*values)
+        return _unknown_parameters(model, jumps, p, time)
 
     def drawn(state: ca.SX) -> tuple[ca.SX, ca.SX]:
         sampled = p["sensor.sample_time"] > 0
@@ -126,17 +78,11 @@ def plant(
     next_stream, next_noise = drawn(stream)
     theta = unknown(t + h / 2)  # constant over the substep, which the shell cuts at the jumps
     moved = move(model, x, algebraic, failure, [u, known, theta], t, h)
-    x_start = ca.vertcat(*[p[port.name] for port in starts])
-    z_guess = ca.vertcat(*[p[port.name] for port in guesses])
+    x_start = ca.vertcat(*[p[port.name] for port in ports.starts])
+    z_guess = ca.vertcat(*[p[port.name] for port in ports.guesses])
     u_start = ca.SX(ca.DM([v.start for v in model.inputs]))
     z_start, first_failure = consistent(model, x_start, z_guess, [u_start, known, unknown(t)], t)
     z_now, _ = consistent(model, x, algebraic, [u, known, unknown(t)], t)  # an input set since the last step acts on it
-    outputs = [
-        *[_port(w.name, w, "continuous") for w in model.outputs],
-        *[_port(f"x.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.states],
-        *[_port(f"z.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.algebraic],
-        *[_port(f"x.{w.name}", w, "continuous", f"true {w.description or w.name}") for w in model.unknown_parameters],
-    ]
     return Component(
         name=model.name,
         description=model.description or f"plant {model.name}",
@@ -151,10 +97,10 @@ def plant(
             [ca.vertcat(measure(x, z_now, u, known, unknown(t), t) + noise_now, x, z_now, unknown(t))],
         ),
         inputs=tuple(_port(w.name, w, "continuous") for w in driven),
-        parameters=parameters,
-        outputs=tuple(outputs),
+        parameters=ports.all,
+        outputs=_outputs(model),
         sample_time="sensor.sample_time",
-        breaks=tuple(port.name for port in jump_ports if port.name.split("[")[0].endswith("_jump_time")),
+        breaks=tuple(port.name for port in ports.jumps if port.name.split("[")[0].endswith("_jump_time")),
         max_step=longest,
         failures=tuple(
             Failure(
@@ -171,6 +117,81 @@ def plant(
             "gives the same sequence in every tool: y at the k-th sample instant carries the k-th draw.</p>"
         ),
     )
+
+
+@dataclass(frozen=True)
+class _Parameters:
+    """A plant's parameters, by group."""
+
+    starts: tuple[Port, ...]
+    guesses: tuple[Port, ...]
+    constants: tuple[Port, ...]
+    jumps: tuple[Port, ...]
+    sensor: tuple[Port, ...]
+
+    @property
+    def all(self) -> tuple[Port, ...]:
+        return (*self.starts, *self.guesses, *self.constants, *self.jumps, *self.sensor)
+
+
+def _parameters(model: Model, jumps: Mapping[str, int]) -> _Parameters:
+    made: list[Port] = []
+    for v in model.unknown_parameters:
+        for i in range(1, jumps.get(v.name, 0) + 1):
+            name, what = f"parameter.{v.name}_jump", v.description or v.name
+            when = f"time of jump {i} of {v.name}"
+            made.append(Port(f"{name}_time[{i}]", when, "s", NEVER, min=0.0, variability="fixed"))
+            made.append(_port(f"{name}_value[{i}]", v, "tunable", f"{what} after jump {i}"))
+    return _Parameters(
+        starts=tuple(
+            _port(f"start.{v.name}", v, "fixed", f"start value of the {v.description or v.name}") for v in model.states
+        ),
+        guesses=tuple(
+            _port(f"start.{v.name}", v, "fixed", f"guess of the start value of the {v.description or v.name}")
+            for v in model.algebraic
+        ),
+        constants=tuple(
+            _port(f"parameter.{v.name}", v, "tunable") for v in (*model.parameters, *model.unknown_parameters)
+        ),
+        jumps=tuple(made),
+        sensor=_sensor(model.outputs[0].unit),
+    )
+
+
+def _sensor(unit: str) -> tuple[Port, ...]:
+    bound, std = "half-width of the uniform measurement noise", "standard deviation of the Gaussian measurement noise"
+    clock = "sample time of the noise; 0: clean measurement"
+    return (
+        Port("sensor.noise_bound", bound, unit, min=0.0, variability="tunable"),
+        Port("sensor.noise_std", std, unit, min=0.0, variability="tunable"),
+        Port("sensor.seed", "seed of the noise", min=0, max=noise.LARGEST_SEED, kind="Integer", variability="fixed"),
+        Port("sensor.sample_time", clock, "s", min=0.0, variability="fixed"),
+    )
+
+
+def _outputs(model: Model) -> tuple[Port, ...]:
+    def true(branch: str, variables: Sequence[Variable]) -> list[Port]:
+        return [_port(f"{branch}.{v.name}", v, "continuous", f"true {v.description or v.name}") for v in variables]
+
+    measured = [_port(v.name, v, "continuous") for v in model.outputs]
+    return (
+        *measured,
+        *true("x", model.states),
+        *true("z", model.algebraic),
+        *true("x", model.unknown_parameters),
+    )
+
+
+def _unknown_parameters(model: Model, jumps: Mapping[str, int], p: Mapping[str, ca.SX], time: ca.SX) -> ca.SX:
+    """The unknown parameters at `time`: piecewise constant, the new value for time > jump time."""
+    values = []
+    for v in model.unknown_parameters:
+        name = f"parameter.{v.name}"
+        value = p[name]
+        for i in range(1, jumps.get(v.name, 0) + 1):
+            value = ca.if_else(time > p[f"{name}_jump_time[{i}]"], p[f"{name}_jump_value[{i}]"], value)
+        values.append(value)
+    return ca.vertcat(*values)
 
 
 def _port(name: str, like: Variable, variability: str, description: str = "") -> Port:

@@ -59,7 +59,7 @@ def least_squares(n: int) -> Component:
 
 
 def kalman(A, C, N, R, Q, m, samples, inputs, Ts):
-    """The sampled Kalman filter's estimate and Q after each step, by Van Loan's exponential, in textbook form."""
+    """The sampled Kalman filter's estimate and Q after each step, by Van Loan's exponential, in textbook form; NaN: no sample."""
     n = len(A)
     E = expm(Ts * np.block([[-A, N @ N.T], [np.zeros((n, n)), A.T]]))
     Phi = E[n:, n:].T
@@ -67,7 +67,10 @@ def kalman(A, C, N, R, Q, m, samples, inputs, Ts):
     held = expm(Ts * np.block([[A, np.ones((n, 1))], [np.zeros((1, n + 1))]]))[:n, n]
     Rd = R @ R.T / Ts
     for y, u in zip(samples, inputs, strict=True):
-        K = Q @ C.T @ np.linalg.inv(C @ Q @ C.T + Rd)
-        m, Q = m + K @ (y - C @ m), Q - K @ C @ Q
+        there = np.isfinite(y)
+        if there.any():
+            H, noise = C[there], Rd[np.ix_(there, there)]
+            K = Q @ H.T @ np.linalg.inv(H @ Q @ H.T + noise)
+            m, Q = m + K @ (y[there] - H @ m), Q - K @ H @ Q
         m, Q = Phi @ m + held * u, Phi @ Q @ Phi.T + Wd
         yield np.concatenate([m, Q.ravel()])

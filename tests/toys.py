@@ -93,7 +93,7 @@ def growing_toy() -> Component:
     return Component(
         name="growing_toy",
         description="A state that blows up",
-        start=ca.Function("start", [p, t], [ca.vertcat(p, p)]),
+        start=ca.Function("start", [p, t], [ca.vertcat(p, ca.if_else(p < 1e300, p, 1e10 * p))]),  # overflows
         flow=ca.Function("flow", [z, u, p, t, h], [z + h * ca.mtimes(matrix, ca.solve(matrix, z, "qr")) ** 2]),
         output=ca.Function("output", [z, u, p, t], [z[0]]),
         parameters=(Port("start.z", "start value", start=1.0, variability="fixed"),),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.errors import ExperimentError, suggest
+from cosim.errors import ExperimentError, not_a_file, suggest
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ def read_log(path: Path) -> Log:
     Raises:
         ExperimentError: no such file, no text, no rows, two columns of one name, a line with too few or too many cells.
     """
-    if not path.is_file():
-        raise ExperimentError(f"{path}: there is no such file")
     open_text = gzip.open if path.suffix == ".gz" else open
     rows, lines = [], []
     try:
+        if not path.is_file():
+            raise ExperimentError(not_a_file(path))
         with open_text(path, "rt", encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)
             for row in reader:

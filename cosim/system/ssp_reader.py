@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from lxml import etree
 
-from cosim.errors import SystemFileError, suggest
+from cosim.errors import SystemFileError, not_a_file, suggest
 from cosim.fmu import Value
 from cosim.system.ssp_writer import OSP, OSP_ANNOTATION, SSC, SSD, SSV, STRUCTURE, validate
 from cosim.system.system import Element, System
@@ -29,13 +29,15 @@ def read_ssp(path: Path, directory: Path) -> System:
         SystemFileError: no such file, not a zip, no or invalid SystemStructure.ssd (with its line), a missing resource,
             a feature as above.
     """
-    if not path.is_file():
-        raise SystemFileError(f"{path}: there is no such file")
     try:
+        if not path.is_file():
+            raise SystemFileError(not_a_file(path))
         with zipfile.ZipFile(path) as archive:
             return _read(archive, path, directory)
     except (zipfile.BadZipFile, zlib.error) as error:
         raise SystemFileError(f"{path}: not an SSP file (not a sound zip file: {error})") from None
+    except OSError as error:
+        raise SystemFileError(f"{path}: cannot be read and unpacked: {error.strerror or error}") from None
 
 
 def _read(archive: zipfile.ZipFile, path: Path, directory: Path) -> System:

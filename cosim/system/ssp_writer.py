@@ -7,7 +7,10 @@ defined for it (`osp:FixedStepAlgorithm` in the default experiment), which libco
 from __future__ import annotations
 
 import math
+import os
+import tempfile
 import zipfile
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from urllib.parse import quote
@@ -33,13 +36,14 @@ _PREFIXES = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "osp": OSP}  # literal: several
 
 
 def write_ssp(system: System, path: Path) -> None:
-    """Write `system` to `path`: the same system and FMUs give the same bytes.
+    """Write `system` to `path`, in a folder that is made where there is none: the same system and FMUs give the same bytes.
 
     Inputs and outputs of the elements become connectors (enumerations only if connected), and so do the parameters that
     have a value. An FMU that several elements use is stored once.
 
     Raises:
         SystemFileError: the system contradicts its FMUs (see `cosim.system.resolve`), or two FMUs share a file name.
+        OSError: the file cannot be written; what was there before is unchanged.
     """
     resolved = resolve(system)
     files: dict[str, Path] = {}
@@ -51,12 +55,25 @@ def write_ssp(system: System, path: Path) -> None:
             )
     content = {STRUCTURE: _structure(resolved)}
     content |= {f"resources/{name}": file.read_bytes() for name, file in files.items()}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
-        for name in sorted(content):
-            entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
-            entry.external_attr = 0o644 << 16
-            entry.create_system = 3  # as on Unix, wherever it is written
-            archive.writestr(entry, content[name])
+    _write_archive(content, path)
+
+
+def _write_archive(content: Mapping[str, bytes], path: Path) -> None:
+    """First under another name, then renamed: never half a file. (fmu_src writes FMUs likewise; cosim does not import it.)"""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+            for name in sorted(content):
+                entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+                entry.external_attr = 0o644 << 16
+                entry.create_system = 3  # as on Unix, wherever it is written
+                archive.writestr(entry, content[name])
+        os.chmod(temporary, 0o644)  # mkstemp lets the owner only read
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
 
 
 def validate(element: etree._Element, schema: str, where: str) -> None:

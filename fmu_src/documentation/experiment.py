@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu_src.errors import ExportError
+from fmu_src.errors import ExperimentFailed
 from observers.component import Component
 from observers.instance import Instance
 
@@ -26,14 +26,14 @@ def default_experiment(component: Component, driven_by: Component | None, most_s
     """Both from time 0 with their start values: get all outputs, set all inputs, step all; at most `most_steps` steps.
 
     Raises:
-        ExportError: a step of the default experiment fails.
+        ExperimentFailed: a step of the default experiment fails.
     """
     members = [component] if driven_by is None else [component, driven_by]
     h, steps = component.step_size, steps_of(component, most_steps)
-    instances = [Instance(member) for member in members]
     outputs: list[list[np.ndarray]] = [[] for _ in members]
     inputs = []
     try:
+        instances = [Instance(member) for member in members]
         for k in range(steps + 1):
             values = [instance.outputs() for instance in instances]
             for record, now in zip(outputs, values, strict=True):
@@ -46,7 +46,7 @@ def default_experiment(component: Component, driven_by: Component | None, most_s
                 for instance in instances:
                     instance.step(k * h, h)
     except (ValueError, RuntimeError) as error:
-        raise ExportError(f"component '{component.name}': its default experiment fails: {error}") from error
+        raise ExperimentFailed(f"the default experiment of '{component.name}' fails: {error}") from error
     series = [
         dict(zip([port.name for port in member.outputs], np.array(record).T, strict=True))
         for member, record in zip(members, outputs, strict=True)
@@ -65,11 +65,12 @@ def respond(component: Component, inputs: Mapping[str, np.ndarray], steps: int) 
     At t_k the inputs are set, then the outputs are taken, then follows the step to t_{k+1}.
 
     Raises:
-        ExportError: a step fails.
+        ExperimentFailed: a step fails.
     """
-    instance, h = Instance(component), component.step_size
+    h = component.step_size
     record = []
     try:
+        instance = Instance(component)
         for k in range(steps + 1):
             for name, values in inputs.items():
                 instance.set(name, values[k])
@@ -77,7 +78,7 @@ def respond(component: Component, inputs: Mapping[str, np.ndarray], steps: int) 
             if k < steps:
                 instance.step(k * h, h)
     except (ValueError, RuntimeError) as error:
-        raise ExportError(f"component '{component.name}': its reference experiment fails: {error}") from error
+        raise ExperimentFailed(f"the reference experiment of '{component.name}' fails: {error}") from error
     return dict(zip([port.name for port in component.outputs], np.array(record).T, strict=True))
 
 

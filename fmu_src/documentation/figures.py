@@ -33,7 +33,7 @@ def panels(component: Component, driven_by: Component | None) -> tuple[np.ndarra
     """Times (n) [s] and what is worth a look: each `estimate.*` with the plant's `x.*`, or else the continuous outputs.
 
     Raises:
-        ExportError: a step of the default experiment fails.
+        ExperimentFailed: a step of the default experiment fails.
     """
     recording = default_experiment(component, driven_by, MOST_STEPS)
     own, plant = _six_digits(recording.outputs), _six_digits(recording.plant or {})

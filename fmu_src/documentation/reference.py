@@ -47,7 +47,7 @@ def reference_files(component: Component, driven_by: Component | None) -> dict[s
     """Contents by path in the FMU; none for a component without outputs to show.
 
     Raises:
-        ExportError: the experiment fails.
+        ExperimentFailed: the experiment fails.
     """
     shown = shown_outputs(component)
     if not shown:

@@ -20,6 +20,7 @@ import numpy as np
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
+from observers.clock import Clock
 from observers.component import Component, Enumeration, Failure, Port, bounds
 from observers.instance import Instance
 
@@ -29,7 +30,8 @@ INSTANTIATED, INITIALIZATION, STEP_COMPLETE, TERMINATED = range(4)
 LIFECYCLES = ("instantiated", "in initialization mode", "initialized", "terminated")
 SETTABLE = (INSTANTIATED, INITIALIZATION, STEP_COMPLETE)
 PORTS = ("inputs", "parameters", "outputs", "constants")
-CLOCK = struct.Struct("<qqddd")  # lifecycle, ticks, t0, stop, time
+TIME = 0x50000000  # this one: the time
+CLOCK = struct.Struct("<qqqdddddd")  # lifecycle, whole, steps, label, phase, carry, step, t0, stop
 
 
 @cache
@@ -137,7 +139,7 @@ class ComponentSlave(Fmi2Slave):
         run = self.started()
         self.lifecycle = STEP_COMPLETE
         self.log(
-            f"{self.component.name}: initialized at t = {run.t0:.15g}, sample time {run.sample_time:.10g}.",
+            f"{self.component.name}: initialized at t = {run.clock.t0:.15g}, sample time {run.sample_time:.10g}.",
             Fmi2Status.ok,
             "logEvents",
         )
@@ -152,14 +154,14 @@ class ComponentSlave(Fmi2Slave):
     def do_step(self, current_time: float, step_size: float) -> bool:
         self.allow("fmi2DoStep", (STEP_COMPLETE,))
         run = self.started()
-        before = run.z, run.time, run.ticks
+        before = run.z, run.clock
         run.step(current_time, step_size, self.derivatives)
         self.stale_outputs = True
         if self.counters:
             try:
                 self.refresh_outputs()
             except Exception:
-                run.z, run.time, run.ticks = before
+                run.z, run.clock = before
                 raise
             self._warn_of_counters(run.time)
         self.derivatives[:] = 0
@@ -193,13 +195,30 @@ class ComponentSlave(Fmi2Slave):
         return port
 
     def _get(self, function: str, references: Sequence[int], kind: str) -> np.ndarray:
+        if TIME in references:
+            self.allow("fmi2GetRealStatus", (STEP_COMPLETE, TERMINATED))
+            return np.array([self.started().time])
         ports = [self._find(function, reference, kind) for reference in references]
         for reference, port in zip(references, ports, strict=True):
             if self.is_output(reference) and self.lifecycle == INSTANTIATED:
                 raise ValueError(f"{function}: {port.name} is not known before initialization mode.")
         if any(self.is_output(reference) for reference in references):
             self.refresh_outputs()
-        return self.values[list(references)]
+        values = self.values[list(references)]
+        for reference, port, value in zip(references, ports, values, strict=True):
+            if self.is_output(reference) and not math.isfinite(value):
+                self._warn_of_value(port.name, value)
+                break
+        return values
+
+    def _warn_of_value(self, name: str, value: float) -> None:
+        """An output that is not finite because an input that feeds it is not; the relay answers fmi2Warning."""
+        run = self.started()
+        self.log(
+            f"{self.component.name}: the output {name} is {value:g} at t = {run.time:.15g}{run.bad_input()}.",
+            Fmi2Status.warning,
+            "logStatusWarning",
+        )
 
     def _set(self, function: str, references: Sequence[int], values: Sequence[float], kind: str) -> None:
         """Every entry is checked before the first is written: a refused call changes nothing."""
@@ -231,6 +250,8 @@ class ComponentSlave(Fmi2Slave):
                 f"{function}: {port.name} is a fixed parameter, {value:.10g} cannot be set after initialization."
             )
         low, high = bounds(port)
+        if math.isinf(value):
+            raise ValueError(f"{function}: {port.name} = {value:g} must be finite.")
         if not low <= value <= high:
             raise ValueError(f"{function}: {port.name} = {value:.10g} lies outside [{low:.10g}, {high:.10g}].")
 
@@ -283,29 +304,57 @@ class ComponentSlave(Fmi2Slave):
     def _get_fmu_state(self) -> bytes:
         """The whole state: clock, then doubles. To whom it belongs, and whether it is sound, is the relay's to say."""
         run = self.run
-        clock = CLOCK.pack(
+        clock = Clock(self.t0, 0.0, self.t0) if run is None else run.clock
+        packed = CLOCK.pack(
             self.lifecycle,
-            -1 if run is None else run.ticks,  # -1: the run has not been started
+            -1 if run is None else clock.whole,  # -1: the run has not been started
+            clock.steps,
+            clock.label,
+            clock.phase,
+            clock.carry,
+            clock.step,
             self.t0,
             self.stop,
-            self.t0 if run is None else run.time,
         )
         z = np.zeros(self.component.n_z) if run is None else run.z
-        return clock + np.concatenate([self.values[: self.first_output], self.derivatives, self.counts, z]).tobytes()
+        return packed + np.concatenate([self.values[: self.first_output], self.derivatives, self.counts, z]).tobytes()
 
     @answering(lambda *_: None)
     def _set_fmu_state(self, state: bytes) -> None:
         sizes = (self.first_output, len(self.derivatives), len(self.counts), self.component.n_z)
-        lifecycle, ticks, t0, stop, time = CLOCK.unpack_from(state)
+        if len(state) != CLOCK.size + 8 * sum(sizes):
+            raise ValueError(f"fmi2SetFMUstate: {len(state)} bytes are no state of {self.component.name}.")
+        lifecycle, whole, steps, label, phase, carry, step, t0, stop = CLOCK.unpack_from(state)
         numbers = np.frombuffer(state, dtype=float, offset=CLOCK.size).copy()
         known, derivatives, counts, z = np.split(numbers, np.cumsum(sizes)[:-1])
-        run = None
-        if ticks >= 0:
-            run = self._start(known, t0, stop)
-            run.z, run.ticks, run.time = z, ticks, time
+        started = lifecycle in (STEP_COMPLETE, TERMINATED)
+        sound = (
+            lifecycle in range(len(LIFECYCLES))
+            and math.isfinite(t0)
+            and stop >= t0
+            and (whole >= 0 or (whole == -1 and not started))
+            and all(self._is_sound(k, value) for k, value in enumerate(known))
+            and np.all(np.isfinite(counts))
+        )
+        run = self._start(known, t0, stop) if sound and whole >= 0 else None
+        if sound and run is not None:
+            clock = Clock(t0, run.sample_time, label, whole, phase, carry, steps, step)
+            sound = clock.is_sound() and np.all(np.isfinite(z)) and not run.failure(z)
+            run.z, run.clock = z, clock
+        if not sound:
+            raise ValueError(f"fmi2SetFMUstate: the state holds what no instance of {self.component.name} can hold.")
         self.lifecycle, self.t0, self.stop, self.counts, self.run = lifecycle, t0, stop, counts, run
         self.derivatives, self.values[: self.first_output] = derivatives, known
         self.stale_outputs = True
+
+    def _is_sound(self, reference: int, value: float) -> bool:
+        """Can the input or parameter have this value?"""
+        port = self.ports[reference]
+        if port.kind != "Real" and not (math.isfinite(value) and value.is_integer()):
+            return False
+        low, high = (0, 1) if port.kind == "Boolean" else bounds(port)
+        inside = math.isfinite(value) and low <= value <= high
+        return inside or (reference < self.first_parameter and port.kind != "Boolean")
 
     @staticmethod
     def _fmu_state_to_bytes(state: bytes) -> bytes:

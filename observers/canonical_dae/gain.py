@@ -88,7 +88,7 @@ def exact(dae: Dae, region: Region, wanted: Sequence[complex]) -> Gain:
 
     Raises:
         ModelError: no v and J_p make the pair observable over the region.
-        ValueError: poles that `dae_tuning` refuses.
+        ValueError: poles that `tuning` refuses.
     """
     A, C = reduced_pair(dae)
     placed = poles(wanted, A.shape[0])
@@ -115,7 +115,7 @@ def regional(dae: Dae, alpha: float, X: ArrayLike) -> Gain:
     where that changes the equation's C' X C term by less than its I.
 
     Raises:
-        ValueError: alpha below SLOWEST, an X that `dae_tuning` refuses.
+        ValueError: alpha below SLOWEST, an X that `tuning` refuses.
     """
     A, C = reduced_pair(dae)
     if not SLOWEST <= alpha < math.inf:

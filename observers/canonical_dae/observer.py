@@ -21,27 +21,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
 from observers import ports
-from observers.canonical_dae import fault_detector
+from observers.canonical_dae import fault_detector, sample
 from observers.canonical_dae.bdf import MOST
 from observers.canonical_dae.dae import Dae, relaxed
-from observers.canonical_dae.gain import Design, Gain, choose, reduced_pair
+from observers.canonical_dae.gain import Design, choose, reduced_pair
 from observers.canonical_dae.interpolation import HIGHEST
-from observers.canonical_dae.ports import CODE, SINGULAR, STATUS, disturbances, documentation, lambdas
+from observers.canonical_dae.ports import SINGULAR, STATUS, disturbances, documentation, lambdas, structure
 from observers.canonical_dae.region import Region, region
-from observers.canonical_dae.steps import bdf_step, consistent, integrated
-from observers.component import Component, Port
+from observers.component import Component
 from observers.model import Model, refuse
-from observers.numerics.exact import product
-from observers.numerics.finite import HUGE
-from observers.numerics.layout import Layout
-from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 
 CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
 
@@ -99,40 +92,24 @@ def canonical_dae(
     _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
     chosen = choose(model, dae, checked, gain, poles, alpha, X)
 
-    nu = len(model.inputs)
-    known = ports.known_parameters(model)
+    method = sample.Method(model, dae, chosen, form == "bdf", order, degree)
     # Without a relaxation there is no residual to watch.
     detector = fault_detector.TUNING if dae.n_lambda else ()
-    tuning = (*chosen.tuning, *detector)
-    settings = Layout(guess=dae.n, model=len(known), sample_time=1, gain=len(chosen.tuning), detector=len(detector))
-    jump, state = _jump(model, dae, chosen, settings, form, order, degree)
-    z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", dae.n_outputs + nu)
-    p, t, h = ca.SX.sym("p", settings.total), ca.SX.sym("t"), ca.SX.sym("h")
-    s, q = state.unpack(z), settings.unpack(p)
-    inputs = u[dae.n_outputs :] if nu else ca.SX(0, 1)
-
-    rhs = ca.Function("rhs", dae.arguments, [dae.f])
-    forced = ca.mtimes(ca.DM(dae.E), s.d) if dae.n_disturbances else 0
-    moved = runge_kutta(lambda x, time: rhs(x, inputs, q.model, time) + forced, s.x, t, h, CLASSICAL_4)
-    start = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {
-        "x": q.guess,
-        "x_filtered": q.guess,
-        "status": ca.DM(CODE.initial_guess),
-        "fault": ca.DM(fault_detector.SETTLING),
-    }
-    residual = [s.mu[dae.n_disturbances :], s.fault] if dae.n_lambda else []
-    shown = [s.x, s.x_filtered, s.d, s.d, s.status, *residual, s.innovation, s.singular, s.rejected, s.failures]
     return Component(
         name=name or f"{model.name}_canonical_dae",
         description=f"Canonical DAE observer for {model.name} (Nikoukhah 1995), {chosen.description}",
-        start=ca.Function("start", [p, t], [state.pack(start)]),
-        flow=ca.Function(
-            "flow", [z, u, p, t, h], [state.replace(z, x=moved, input_integral=s.input_integral + h * inputs)]
+        start=sample.start(method),
+        flow=sample.flow(method),
+        jump=sample.jump(method),
+        output=sample.output(method),
+        inputs=(*ports.inputs(model), *ports.validity(model)),
+        parameters=(
+            *ports.guesses(model, guess or {}),
+            *ports.known_parameters(model),
+            period,
+            *chosen.tuning,
+            *detector,
         ),
-        jump=jump,
-        output=ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)]),
-        inputs=ports.inputs(model),
-        parameters=(*ports.guesses(model, guess or {}), *known, period, *tuning),
         outputs=(
             *ports.estimates(model),
             *disturbances(model),
@@ -143,24 +120,7 @@ def canonical_dae(
             SINGULAR,
             *ports.COUNTERS,
         ),
-        constants=(
-            Port(
-                "structure.order",
-                "order of the backward differentiation; 0: w-form",
-                start=order if form == "bdf" else 0,
-                kind="Integer",
-                variability="constant",
-                local=True,
-            ),
-            Port(
-                "structure.degree",
-                "degree of the polynomial through past measurements; 0: backward differentiation, which needs none",
-                start=0 if form == "bdf" else degree,
-                kind="Integer",
-                variability="constant",
-                local=True,
-            ),
-        ),
+        constants=structure(form, order, degree),
         sample_time="sample_time",
         samples_inputs=True,
         max_step=max_step,
@@ -182,118 +142,3 @@ def _check(dae: Dae, checked: Region, left_of: float) -> None:
     what = f"what the unknown disturbances ({hidden}) leave of (h_x, f_x)" if hidden else "(h_x, f_x)"
     pair = ca.Function("pair", at, [ca.densify(block) for block in reduced_pair(dae)])
     checked.require_detectable("canonical_dae", what, pair, left_of)
-
-
-def _jump(
-    model: Model, dae: Dae, gain: Gain, settings: Layout, form: str, order: int, degree: int
-) -> tuple[ca.Function, Layout]:
-    """One sample, and the layout of the state it works on."""
-    n, ny, nu, nd = dae.n, dae.n_outputs, len(model.inputs), dae.n_disturbances
-    held, implicit = model.input_between_samples == "held", form == "bdf"
-    kept = 0 if implicit else degree
-    state = Layout(
-        x=n,  # the prediction: the estimate of the current time
-        x_filtered=n,  # the estimate of the last sample instant, where h(x) = y
-        mu=ny,  # [delta; lambda] there
-        d=nd,  # disturbances, means over the last interval
-        y=ny * kept,  # past samples, newest first
-        past=(n + ny) * (order - 1) * implicit,  # (x, mu) before the last sample, newest first
-        u=nu * (not held),  # known inputs at the last sample
-        input_integral=nu,  # since the last sample
-        k=1,  # samples since the start, or since the last failed step
-        innovation=ny,
-        status=1,
-        fault=1,
-        above=1,
-        below=1,
-        singular=1,
-        rejected=1,
-        failures=1,
-    )
-    z, u, p, t = (ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",)))
-    s, q = state.unpack(z), settings.unpack(p)
-    known = u[ny:] if nu else ca.MX(0, 1)
-    Ts = q.sample_time
-
-    # A rejected measurement is replaced by its prediction.
-    valid = ca.fabs(u[:ny]) <= HUGE  # false for NaN
-    outputs = ca.Function("outputs", dae.arguments, [ca.densify(dae.h), ca.densify(dae.r)])
-    predicted, added = outputs(s.x, known, q.model, t)
-    y = ca.if_else(valid, u[:ny] - added, predicted)
-    any_valid, all_valid = ca.sum1(valid) > 0, ca.sum1(valid) == ny
-
-    u_end = s.input_integral / Ts if held else known
-    u_begin = u_end if held else s.u
-    first = s.k < 1
-    if implicit:
-        columns = [
-            ca.vertcat(s.x_filtered, s.mu),
-            *(s.past[i * (n + ny) : (i + 1) * (n + ny)] for i in range(order - 1)),
-        ]
-        x, mu, change, mu_dot = bdf_step(dae, gain, order)(s.x, s.mu, y, columns, s.k, u_end, q.model, t, Ts, q.gain)
-        d, y_kept, past = _head(mu_dot, nd), ca.MX(0, 1), ca.vertcat(*columns[: order - 1], ca.MX(0, 1))
-    else:
-        samples = [y, *(s.y[i * ny : (i + 1) * ny] for i in range(kept))]
-        x, mu, change = integrated(dae, gain, degree)(
-            s.x_filtered, s.mu, samples, s.k, u_begin, u_end, q.model, t, Ts, q.gain
-        )
-        # delta is known up to a constant: it counts from sample to sample.
-        d, mu = _head(mu, nd) / Ts, (ca.vertcat(ca.DM.zeros(nd), mu[nd:]) if dae.n_lambda else ca.DM.zeros(nd))
-        y_kept, past = ca.vertcat(*samples[:kept]), ca.MX(0, 1)
-    x_first, _, change_first = consistent(dae)(s.x, y, s.x, ca.DM.zeros(ny), known, q.model, t)
-    x, mu = ca.if_else(first, x_first, x), ca.if_else(first, 0, mu)
-    d, change = ca.if_else(first, s.d, d), ca.if_else(first, change_first, change)
-
-    sound = ca.logic_and(ca.sumsqr(ca.vertcat(x, mu, d)) < HUGE, change < CONVERGED)
-    failed = ca.logic_and(any_valid, ca.logic_not(sound))
-    accepted = ca.logic_and(any_valid, sound)
-    x = ca.if_else(accepted, x, s.x)
-    mu = ca.if_else(accepted, mu, ca.if_else(failed, 0, s.mu))
-    d = ca.if_else(accepted, d, s.d)
-    singular = ca.logic_not(gain.gamma(x, known, q.model, t, q.gain)[1])
-
-    fault, above, below = s.fault, s.above, s.below
-    if dae.n_lambda:
-        scale = product(np.abs(dae.M.T), np.array([[v.nominal] for v in model.outputs]))
-        size = ca.mmax(ca.fabs(mu[nd:]) / ca.DM(scale))
-        threshold, persistence, settling = ca.vertsplit(q.detector)
-        detected = fault_detector.detect(fault, above, below, size, threshold, persistence, settling, Ts)
-        fault, above, below = (
-            ca.if_else(any_valid, new, old) for new, old in zip(detected, (fault, above, below), strict=True)
-        )
-    status: Any = CODE.estimating
-    for condition, code in (
-        (singular, CODE.singular_gain),
-        (ca.logic_not(all_valid), CODE.sample_rejected),
-        (failed, CODE.solver_failed),
-    ):
-        status = ca.if_else(condition, code, status)
-
-    result = state.pack(
-        {
-            "x": x,
-            "x_filtered": x,
-            "mu": mu,
-            "d": d,
-            "y": y_kept,
-            "past": past,
-            "u": ca.MX(0, 1) if held else known,
-            "input_integral": ca.DM.zeros(nu),
-            "k": ca.if_else(failed, 0, s.k + 1),
-            "innovation": y - predicted,
-            "status": status,
-            "fault": fault,
-            "above": above,
-            "below": below,
-            "singular": s.singular + singular,
-            "rejected": s.rejected + ca.logic_not(all_valid),
-            "failures": s.failures + failed,
-        }
-    )
-    jump = ca.Function("jump", [z, u, p, t], [result])
-    return jump.expand("jump", {"cse": True}), state
-
-
-def _head(column: Any, count: int) -> Any:
-    """The first entries of a column; an empty slice would be 1 x 0."""
-    return column[:count] if count else ca.MX(0, 1)

@@ -16,7 +16,7 @@ _STATUS = Enumeration(
         ("initial_guess", "no sample yet: the estimate is the propagated guess"),
         ("estimating", "the estimate satisfies the last measurement"),
         ("singular_gain", "the linearisation is not observable here: the gain is not what was asked for"),
-        ("sample_rejected", "a measurement was not finite: its prediction stands in for it"),
+        ("sample_rejected", "a measurement was missing or not finite: its prediction stands in for it"),
         (
             "solver_failed",
             "the DAE's step did not converge: the estimate is the prediction, lambda starts again from zero",
@@ -55,6 +55,28 @@ def disturbances(model: Model) -> tuple[Port, ...]:
     return tuple(made)
 
 
+def structure(form: str, order: int, degree: int) -> tuple[Port, ...]:
+    """`structure.order` and `structure.degree`, of which one is 0."""
+    return (
+        Port(
+            "structure.order",
+            "order of the backward differentiation; 0: w-form",
+            start=order if form == "bdf" else 0,
+            kind="Integer",
+            variability="constant",
+            local=True,
+        ),
+        Port(
+            "structure.degree",
+            "degree of the polynomial through past measurements; 0: backward differentiation, which needs none",
+            start=0 if form == "bdf" else degree,
+            kind="Integer",
+            variability="constant",
+            local=True,
+        ),
+    )
+
+
 def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) -> str:
     """The method in short, as HTML."""
     how = (
@@ -69,4 +91,5 @@ def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) 
         "<p>The outputs of <code>filtered.*</code> satisfy the last measurement exactly; <code>estimate.*</code> follows the model "
         "from there to the current time. <code>diagnostics.lambda</code> is a residual, <code>diagnostics.fault</code> a threshold "
         "with persistence on it. <code>diagnostics.status</code> says whether the estimate can be trusted.</p>"
+        f"{ports.VALIDITY_HTML}"
     )

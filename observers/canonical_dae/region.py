@@ -69,6 +69,10 @@ def region(model: Model) -> Region:
     """POINTS points of Halton's sequence between the bounds of states, unknown parameters and inputs.
 
     A variable without a bound reaches one `nominal` beyond its start value there. Parameters stand at their start values, time at 0.
+    Points outside the domain of the model's functions (the root of a negative level) are left out.
+
+    Raises:
+        ModelError: no point is left.
     """
     states = (*model.states, *model.unknown_parameters)
     box = np.array([_range(v) for v in (*states, *model.inputs)])
@@ -76,7 +80,24 @@ def region(model: Model) -> Region:
     unit = qmc.Halton(len(box), scramble=False).random(POINTS + 1)[1:]
     values = box[:, 0] + unit * (box[:, 1] - box[:, 0])
     p = np.array([v.start for v in model.parameters])
-    return Region(model, tuple((row[: len(states)], row[len(states) :], p, 0.0) for row in values))
+    points = tuple((row[: len(states)], row[len(states) :], p, 0.0) for row in values)
+    inside = tuple(point for point, there in zip(points, _in_domain(model, points), strict=True) if there)
+    if not inside:
+        raise ModelError(
+            f"canonical_dae: the equations of model '{model.name}' are not finite anywhere between its bounds, or within a nominal "
+            f"value of its start values, for example at {Region(model, points).describe(points[0])}"
+        )
+    return Region(model, inside)
+
+
+def _in_domain(model: Model, points: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray, float]]) -> list[bool]:
+    """Whether the equations and their first derivatives are finite at each point."""
+    eq = model.equations
+    x, none = ca.vertcat(eq.x, eq.theta), ca.DM.zeros(eq.w.numel())
+    equations = ca.substitute(ca.vertcat(eq.ode, eq.output), eq.w, none)
+    everything = ca.densify(ca.vertcat(equations, ca.vec(ca.jacobian(equations, x))))
+    function = ca.Function("everything", [x, eq.u, eq.p, eq.t], [everything])
+    return [bool(np.all(np.isfinite(function(*point).full()))) for point in points]
 
 
 def _range(v: Variable) -> Sequence[float]:

@@ -155,27 +155,27 @@ def iteration(model: Model, problems: tuple[Elementary, ...], N: int, nodes: int
 
 
 def iterations(model: Model, problems: tuple[Elementary, ...], N: int, K: int, nodes: int) -> ca.Function:
-    """(go, X, W, <the window>, tuning, epsilon) -> (X, W, change, contraction, iterations): up to K of them, none unless `go`.
+    """(go, X, W, <the window>, tuning, epsilon, limit) -> (X, W, change, contraction, iterations): up to K of them, none unless `go`.
 
-    They end when `change` is at most epsilon; `contraction` is the ratio of the last two changes (0 after a single one).
+    They end when `change` is at most epsilon, or when `limit` of them are done. `contraction` is the ratio of the last two changes (0
+    after a single one).
     """
     once = iteration(model, problems, N, nodes)
     v = symbols(model, N, once.numel_in(once.n_in() - 1))
-    go, epsilon = ca.MX.sym("go"), ca.MX.sym("epsilon")
-    fixed = [*list(vars(v).values())[2:], go, epsilon]
+    go, epsilon, limit = ca.MX.sym("go"), ca.MX.sym("epsilon"), ca.MX.sym("limit")
+    fixed = [*list(vars(v).values())[2:], go, epsilon, limit]
     now = [v.X, v.W, *(ca.MX.sym(name) for name in ("change", "contraction", "count"))]
-    X, W, change = once(v.X, v.W, *fixed[:-2])
+    X, W, change = once(v.X, v.W, *fixed[:-3])
     ratio = ca.if_else(now[4] > 0, change / ca.fmax(now[2], SMALLEST_CHANGE), 0)
     step = ca.Function("step", [*now, *fixed], [X, W, change, ratio, now[4] + 1])
     stay = ca.Function("stay", [*now, *fixed], now)
     # NaN fails the comparison, which ends the iterations.
-    unfinished = ca.logic_and(go, now[2] > epsilon)
+    unfinished = ca.logic_and(ca.logic_and(go, now[2] > epsilon), now[4] < limit)
     maybe = ca.Function.if_else("maybe", step, stay)
     repeated_step = _chain(ca.Function("next", [*now, *fixed], list(maybe(unfinished, *now, *fixed))), K, len(now))
     X, W, change, contraction, count = repeated_step(v.X, v.W, HUGE, 0, 0, *fixed)
-    return ca.Function(
-        "iterations", [go, v.X, v.W, *fixed[:-2], epsilon], [X, W, ca.if_else(go, change, 0), contraction, count]
-    )
+    arguments = [go, v.X, v.W, *fixed[:-3], epsilon, limit]
+    return ca.Function("iterations", arguments, [X, W, ca.if_else(go, change, 0), contraction, count])
 
 
 def _chain(function: ca.Function, times: int, n_state: int) -> ca.Function:

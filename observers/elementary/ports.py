@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape
 from types import SimpleNamespace
 
 from observers import ports
@@ -22,7 +23,7 @@ STATUS = Enumeration(
         ("iterating", "the iterations of this sample did not get below tuning.epsilon; the next ones go on from here"),
         (
             "sample_rejected",
-            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
         ),
         ("parameter_changed", "a model parameter was changed within the window: its older samples obey the old value"),
         ("undetermined", "the window does not determine the direction diagnostics.null.*"),
@@ -53,16 +54,18 @@ DIAGNOSTICS = (
         variability="discrete",
     ),
 )
-LIMITS = (
-    Port("tuning.epsilon", "change at or below which the iterations stop", start=1e-4, min=0.0, variability="tunable"),
-    Port(
-        "tuning.visibility_limit",
-        "diagnostics.visibility below which the status is undetermined",
-        start=1e-3,
-        min=0.0,
-        variability="tunable",
-    ),
-)
+
+
+def limits(K: int) -> tuple[Port, ...]:
+    """When the iterations of a sample end, and what counts as seen."""
+    epsilon = "change at or below which the iterations stop"
+    limit = "iterations a sample at most: what bounds its time; the next sample goes on from where they ended"
+    visibility = "diagnostics.visibility below which the status is undetermined"
+    return (
+        Port("tuning.epsilon", epsilon, start=1e-4, min=0.0, variability="tunable"),
+        Port("tuning.iteration_limit", limit, start=K, min=1, max=K, kind="Integer", variability="tunable"),
+        Port("tuning.visibility_limit", visibility, start=1e-3, min=0.0, variability="tunable"),
+    )
 
 
 def tuning(
@@ -151,4 +154,24 @@ def null_direction(model: Model) -> tuple[Port, ...]:
             variability="discrete",
         )
         for v in (*model.states, *model.unknown_disturbances)
+    )
+
+
+def documentation(model: Model, N: int, problems: list[str], null: str) -> str:
+    """The method in short, its problems, and what it leaves open, as HTML."""
+    listed = "".join(f"<li>{escape(line)}</li>" for line in problems)
+    open_ = (
+        f"<p>Not determined by a window, along the model's own motion: {escape(null)}. <code>diagnostics.null.*</code> shows such a "
+        "direction, <code>diagnostics.visibility</code> how little the measurements see of it; bounds on the disturbance can determine it."
+        "</p>"
+        if null
+        else ""
+    )
+    return (
+        f"<p>States and unknown disturbances of the model {model.name} that fit the last {N} samples, by elementary problems: one scalar "
+        "optimal control problem for each state, solved in turns (Calvillo-Corona and Alamir). Connect the measurements and the known "
+        f"inputs, and step with at most the sample time.</p><ul>{listed}</ul>{open_}"
+        "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
+        "<code>filtered.*</code> of the last sample instant. A disturbance is the mean over the last sample interval.</p>"
+        f"{ports.VALIDITY_HTML}"
     )

@@ -6,7 +6,7 @@ Equations I", II.10). Fixed steps, without its error control: a real-time compon
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,9 +24,8 @@ class Tableau:
     order: int
 
 
-STABLE = (
-    3.0  # |h lambda| inside DORMAND_PRINCE_8's region of stability, with a margin, for lambda in the left half plane
-)
+# |h lambda| inside the region of stability of DORMAND_PRINCE_8, with a margin, for lambda in the left half plane.
+STABLE = 3.0
 DORMAND_PRINCE_8 = Tableau(np.asarray(DOP853.A), np.asarray(DOP853.B), np.asarray(DOP853.C), order=8)
 CLASSICAL_4 = Tableau(
     np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1, 0]]),
@@ -45,12 +44,12 @@ def runge_kutta(rhs: Callable[[Any, Any], Any], x: Any, t: Any, h: Any, tableau:
     return x + h * _combine(tableau.b, stages)
 
 
-def stable_step(A: np.ndarray, longest: float) -> float:
-    """The longest of `longest`, `longest` / 2, `longest` / 4, ... with which DORMAND_PRINCE_8 is stable for x' = A x.
+def stable_step(jacobians: Iterable[np.ndarray], longest: float) -> float:
+    """The longest of `longest`, `longest` / 2, ... with which DORMAND_PRINCE_8 is stable for x' = A x, for each A of `jacobians`.
 
     Halved, not cut to size: the last bits of eigenvalues depend on the machine.
     """
-    fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+    fastest = max((float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) for A in jacobians), default=0.0)
     step = longest
     while step * fastest > STABLE:
         step /= 2

@@ -25,7 +25,9 @@ from observers.model import Model, ModelError
 from observers.numerics import algebraic, linear
 from observers.numerics.finite import HUGE
 from observers.pseudospectral.method import Method
+from observers.pseudospectral.sample import Instant, Window
 from observers.pseudospectral.window.condense import first_sample
+from observers.pseudospectral.window.trajectory import Trajectory
 
 SMALLEST = 1e-9  # standard deviation, relative to the nominal value: a weight is one over its square
 
@@ -110,56 +112,20 @@ def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) ->
     }
 
 
-def advance(
-    method: Method,
-    s: SimpleNamespace,
-    q: SimpleNamespace,
-    at: tuple[Any, Any, Any],
-    data: Any,
-    y: Any,
-    valid: Any,
-    inputs: tuple[Any, Any],
-    time: Any,
-) -> dict[str, Any]:
-    """Mean and covariance for the next window.
-
-    `at` is the window's trajectory (V, Z, s*), `data` its known terms, `y`, `valid` (ny) its first sample, `inputs` (U, those at the
-    samples), `time` its start.
-    """
-    problem, model = method.problem, method.model
-    nx, ns, ny, nu = problem.nx, len(problem.scale), problem.ny, problem.nu
-    U, seen = inputs
-    x1, S1 = first_sample(problem)(*at, data, q.model, U)
-    parts = [
-        ca.SX.sym(name, size) for name, size in (("s", ns), ("mean", ns), ("P", ns * ns), ("x1", nx), ("S1", nx * ns))
-    ]
-    around, mean, P, moved, slope = parts
-    P = ca.reshape(P, ns, ns)
-    A = ca.vertcat(ca.reshape(slope, nx, ns), ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx)))
-    y0, there, u0 = ca.SX.sym("y0", ny), ca.SX.sym("valid", ny), ca.SX.sym("u0", nu)
-    p, t, z0 = ca.SX.sym("p", problem.n_parameters), ca.SX.sym("t"), ca.SX.sym("z0", len(model.algebraic))
-    noise, drift = ca.SX.sym("noise", ny), ca.SX.sym("drift", ns)
-    expected, _ = algebraic.measurement(method.equations)(around[:nx], u0, p, around[nx:], t, z0)
-    M = ca.diag(there) @ ca.densify(ca.jacobian(expected, around))
-    innovation = ca.if_else(there, y0 - expected - ca.mtimes(M, mean - around), 0)
-    PM, R = ca.mtimes(P, M.T), ca.diag(noise**2)
-    G = linear.qr_solve(ca.mtimes(M, PM) + R, PM.T).T
-    corrected = mean + ca.mtimes(G, innovation)
-    left = ca.SX.eye(ns) - ca.mtimes(G, M)
-    after = ca.mtimes([left, P, left.T]) + ca.mtimes([G, R, G.T])
-    new_mean = ca.vertcat(moved, around[nx:]) + ca.mtimes(A, corrected - around)
-    new_P = ca.mtimes([A, after, A.T]) + ca.diag(drift**2 * problem.segment.sample_time)
-    new_P = ca.vec((new_P + new_P.T) / 2)
-    arguments = [*parts, y0, there, u0, p, t, z0, noise, drift]
-    step = ca.Function("advance_prior", arguments, [new_mean, new_P], {"cse": True})
-    z_start = at[1][: problem.rates.n_algebraic] if problem.n_algebraic else s.z
-    first_input = seen[:nu] if nu else ca.MX(0, 1)
-    now = [at[2], s.prior_mean, s.prior_covariance, x1, ca.vec(S1)]
-    mean_next, P_next = step(*now, y, valid, first_input, q.model, time, z_start, q.measurement_noise, q.process_noise)
+def advance(method: Method, now: Instant, window: Window, at: Trajectory) -> dict[str, Any]:
+    """Mean and covariance for the next window; `at` is this window's trajectory."""
+    s, q, problem = now.s, now.q, method.problem
+    ny, nu = problem.ny, problem.nu
+    x1, S1 = first_sample(problem)(*at, window.data, q.model, window.U)
+    z_start = at.Z[: problem.rates.n_algebraic] if problem.n_algebraic else s.z
+    first_input = window.at_points[:nu] if nu else ca.MX(0, 1)
+    first = [window.Y[:ny], window.W[:ny], first_input, q.model, window.start, z_start]
+    moved = [at.s, s.prior_mean, s.prior_covariance, x1, ca.vec(S1)]
+    mean_next, P_next = _moved_on(method)(*moved, *first, q.measurement_noise, q.process_noise)
     # The prior of a window that does not move yet stays; one that is lost starts again around the prediction.
     moves = s.k >= method.samples
     lost = ca.logic_not(ca.sumsqr(ca.vertcat(mean_next, P_next)) < HUGE)
-    again = {"prior_mean": at[2], "prior_covariance": ca.vec(ca.diag(q.initial_std**2))}
+    again = {"prior_mean": at.s, "prior_covariance": ca.vec(ca.diag(q.initial_std**2))}
     return {
         name: ca.if_else(moves, ca.if_else(lost, again[name], following), old)
         for name, following, old in (
@@ -167,3 +133,35 @@ def advance(
             ("prior_covariance", P_next, s.prior_covariance),
         )
     }
+
+
+def _moved_on(method: Method) -> ca.Function:
+    """(s*, sbar, P, x1, S1, y0, whether each of y0 is there, u0, p, t, z0, R's and Qd's deviations) -> (sbar, P) a sample later.
+
+    The two formulas of the module's docstring: the correction by the sample that is left behind, and the motion.
+    """
+    problem = method.problem
+    nx, ns, ny, nu = problem.nx, len(problem.scale), problem.ny, problem.nu
+    parts = [
+        ca.SX.sym(name, size) for name, size in (("s", ns), ("mean", ns), ("P", ns * ns), ("x1", nx), ("S1", nx * ns))
+    ]
+    around, mean, P, x1, S1 = parts
+    P = ca.reshape(P, ns, ns)
+    theta = around[nx:] if ns > nx else ca.SX(0, 1)  # an empty slice would be 1 x 0
+    y0, there, u0 = ca.SX.sym("y0", ny), ca.SX.sym("valid", ny), ca.SX.sym("u0", nu)
+    p, t, z0 = ca.SX.sym("p", problem.n_parameters), ca.SX.sym("t"), ca.SX.sym("z0", len(method.model.algebraic))
+    noise, drift = ca.SX.sym("noise", ny), ca.SX.sym("drift", ns)
+    expected, _ = algebraic.measurement(method.equations)(around[:nx], u0, p, theta, t, z0)
+    M = ca.diag(there) @ ca.densify(ca.jacobian(expected, around))
+    innovation = ca.if_else(there, y0 - expected - ca.mtimes(M, mean - around), 0)
+    PM, R = ca.mtimes(P, M.T), ca.diag(noise**2)
+    G = linear.qr_solve(ca.mtimes(M, PM) + R, PM.T).T
+    corrected = mean + ca.mtimes(G, innovation)
+    left = ca.SX.eye(ns) - ca.mtimes(G, M)
+    after = ca.mtimes([left, P, left.T]) + ca.mtimes([G, R, G.T])
+    A = ca.vertcat(ca.reshape(S1, nx, ns), ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx)))
+    new_mean = ca.vertcat(x1, theta) + ca.mtimes(A, corrected - around)
+    new_P = ca.mtimes([A, after, A.T]) + ca.diag(drift**2 * problem.segment.sample_time)
+    new_P = ca.vec((new_P + new_P.T) / 2)
+    arguments = [*parts, y0, there, u0, p, t, z0, noise, drift]
+    return ca.Function("advance_prior", arguments, [new_mean, new_P], {"cse": True})

@@ -23,10 +23,13 @@ from observers.component import Port
 from observers.model import Model, ModelError
 from observers.numerics.finite import HUGE
 from observers.pseudospectral.method import Method
+from observers.pseudospectral.sample import Instant, Window
+from observers.pseudospectral.warm_start import Start
 from observers.pseudospectral.window.condense import output_residual
 from observers.pseudospectral.window.gauss_newton import Constraints, Solve
 from observers.pseudospectral.window.iteration import iterate
 from observers.pseudospectral.window.sliding import insert_sample
+from observers.pseudospectral.window.trajectory import Trajectory
 
 MET = 1e-6  # slack up to which Problem 3's solution lies in the tube, in nominal units
 
@@ -97,35 +100,27 @@ def state(model: Model, constraints: Constraints, L: int) -> dict[str, int]:
 
 
 def bounds(
-    method: Method,
-    s: SimpleNamespace,
-    q: SimpleNamespace,
-    at: tuple[Any, Any, Any],
-    given: Mapping[str, Any],
-    residual: Any,
-    valid: Any,
-    y: Any,
-    W: Any,
-    place: Any,
-    warm: Any,
+    method: Method, now: Instant, window: Window, start: Start, given: Mapping[str, Any], residual: Any
 ) -> dict[str, Any]:
     """The window's bounds `lower`, `upper` with those of the new sample, and the diagnostics' values.
 
-    `at` is the warm start (V, Z, s), `residual` its h - y, y (ny) the new measurements, W the samples' weights.
+    `given` is what is fixed within a solve of Problem 2, `residual` h - y along the warm start.
     """
-    problem, ny = method.problem, method.problem.ny
+    s, q, problem, ny = now.s, now.q, method.problem, method.problem.ny
+    y, W = window.y, window.W
     refined, fallbacks = s.bounds[2 * ny], s.bounds[2 * ny + 1]
     b, scale = q.noise_bound, ca.DM(problem.output_scale)
     insert = insert_sample(ny, method.samples + 1)
     older = [insert(column, ca.DM.zeros(ny), s.k) for column in (s.lower, s.upper)]
     places = ca.DM(range(ny * problem.n_measured))
-    known = {**given, "lower": older[0], "upper": older[1], "mask": W * (places < place * ny)}
-    reach = _reach(method, q, at, known)
+    known = {**given, "lower": older[0], "upper": older[1], "mask": W * (places < window.place * ny)}
+    reach = _reach(method, q, start.trajectory, known)
+    warm = start.warm
     lower, upper = [], []
     for i in range(ny):
-        mine = places == place * ny + i
+        mine = places == window.place * ny + i
         predicted = ca.dot(mine, residual) + y[i]
-        wanted = ca.logic_and(ca.logic_and(warm, ca.sum1(W) > len(problem.scale)), valid[i])
+        wanted = ca.logic_and(ca.logic_and(warm, ca.sum1(W) > len(problem.scale)), window.valid[i])
         furthest, met = reach(wanted, mine, predicted)
         radius = furthest + q.bound_margin * scale[i]
         sigma1, sigma2 = ca.fmax(y[i] - b[i], predicted - radius), ca.fmin(y[i] + b[i], predicted + radius)
@@ -133,16 +128,16 @@ def bounds(
         lower.append(ca.if_else(ok, sigma1, y[i] - b[i]))
         upper.append(ca.if_else(ok, sigma2, y[i] + b[i]))
         refined, fallbacks = refined + ok, fallbacks + ca.logic_and(wanted, ca.logic_not(ok))
-    now = [ca.vertcat(*lower), ca.vertcat(*upper)]
+    newest = [ca.vertcat(*lower), ca.vertcat(*upper)]
     return {
-        "lower": insert(s.lower, now[0], s.k),
-        "upper": insert(s.upper, now[1], s.k),
-        "bounds": ca.vertcat(*now, refined, fallbacks),
+        "lower": insert(s.lower, newest[0], s.k),
+        "upper": insert(s.upper, newest[1], s.k),
+        "bounds": ca.vertcat(*newest, refined, fallbacks),
     }
 
 
 def _reach(
-    method: Method, q: SimpleNamespace, at: tuple[Any, Any, Any], known: Mapping[str, Any]
+    method: Method, q: SimpleNamespace, at: Trajectory, known: Mapping[str, Any]
 ) -> Callable[[Any, Any, Any], tuple[Any, Any]]:
     """Problem 3: (wanted, which output, its prediction) -> (how far from it the tube lets that output be, whether both ways were found).
 
@@ -172,18 +167,15 @@ def _reach(
 
 
 def released(
-    method: Method, q: SimpleNamespace, made: Mapping[str, Any], window: Any, newest: Any, contradiction: Any
+    method: Method, now: Instant, window: Window, made: Mapping[str, Any], contradiction: Any
 ) -> dict[str, Any]:
-    """`bounds`' result with y +- b for the whole window where `contradiction`, counted as a fallback.
-
-    `window` are the window's measurements, `newest` (ny) the last ones.
-    """
-    ny = method.problem.ny
-    b = ca.repmat(q.noise_bound, method.problem.n_measured, 1)
+    """`bounds`' result `made` with y +- b for the whole window where `contradiction`, counted as a fallback."""
+    ny, noise_bound = method.problem.ny, now.q.noise_bound
+    b = ca.repmat(noise_bound, method.problem.n_measured, 1)
     lower, upper = (
-        ca.if_else(contradiction, window + sign * b, made[name]) for name, sign in (("lower", -1), ("upper", 1))
+        ca.if_else(contradiction, window.Y + sign * b, made[name]) for name, sign in (("lower", -1), ("upper", 1))
     )
-    now = ca.vertcat(newest - q.noise_bound, newest + q.noise_bound)
+    newest = ca.vertcat(window.y - noise_bound, window.y + noise_bound)
     counts = made["bounds"][2 * ny :] + ca.vertcat(0, contradiction)
-    shown = ca.if_else(contradiction, now, made["bounds"][: 2 * ny])
+    shown = ca.if_else(contradiction, newest, made["bounds"][: 2 * ny])
     return {"lower": lower, "upper": upper, "bounds": ca.vertcat(shown, counts)}

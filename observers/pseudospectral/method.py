@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
 from observers.model import Model
+from observers.numerics import algebraic
 from observers.numerics.equations import Equations
 from observers.numerics.layout import Layout
 from observers.pseudospectral.window.gauss_newton import Constraints
@@ -30,6 +32,11 @@ class Method:
     def samples(self) -> int:
         """L."""
         return self.problem.segment.samples * self.problem.count
+
+    @cached_property
+    def measure(self) -> ca.Function:
+        """The outputs; one function, so that the generated code holds it once."""
+        return algebraic.measurement(self.equations)
 
     @property
     def sees_inputs(self) -> bool:

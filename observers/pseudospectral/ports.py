@@ -126,6 +126,7 @@ CONSTRAINT_VIOLATION = Port(
     "by how much bounds had to give way, in units of nominal values; above 0: they contradict each other",
     variability="discrete",
 )
+SMOOTHNESS = 2  # m of Assumption 2
 REGULARITY_LIMIT = Port(
     "tuning.regularity_limit",
     "smallest pivot of dg/dz, in units of nominal values, below which the status is singular",
@@ -133,3 +134,24 @@ REGULARITY_LIMIT = Port(
     min=0.0,
     variability="tunable",
 )
+
+
+def constants(N: int, L: int, segments: int, sample_time: float) -> tuple[Port, ...]:
+    """The observer's structure, `structure.*`, and the paper's bound, as constants."""
+
+    def structure(name: str, text: str, value: int) -> Port:
+        return Port(f"structure.{name}", text, start=value, kind="Integer", variability="constant", local=True)
+
+    return (
+        Port("sample_time", "sample time", "s", sample_time, variability="constant", local=True),
+        structure("N", "order of the polynomial", N),
+        structure("L", "length of the window in sample intervals", L),
+        structure("segments", "segments of the window, each with a polynomial of its own", segments),
+        Port(
+            "diagnostics.node0_bound",
+            "(N - 1)^(3/2 - m), m = 2: the bound on node0_residual",
+            start=float((N - 1) ** (1.5 - SMOOTHNESS)),  # (17), (20)
+            variability="constant",
+            local=True,
+        ),
+    )

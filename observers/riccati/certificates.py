@@ -28,10 +28,10 @@ from observers.component import Enumeration, Port
 from observers.linearisation import Linearisation
 from observers.model import Model
 from observers.numerics.exact import in_high_precision, matrix, rounded, table
+from observers.riccati.design import UNKNOWN
 from observers.riccati.detectability import by_comparison, by_full_rank, by_injection
 from observers.riccati.interval import Range
 from observers.riccati.suprema import cells, downward, largest, norm, point, second, supremum, upward
-from observers.riccati.tuning import UNKNOWN
 
 LIFT = 1 + 1e-14  # covers the rounding of a few operations on scalars
 
@@ -40,7 +40,7 @@ CERTIFICATE = Enumeration(
     (
         (
             "none",
-            "there are no finite bounds, or a changed parameter, a rejected sample or an excursion made them void",
+            "there are no finite bounds, or a changed parameter, a sample that is missing or rejected, or an excursion made them void",
         ),
         ("outside", "the guess may lie outside rho: no promise"),
         ("inside", "the guess lies inside rho: the error decays at least with guaranteed_rate"),

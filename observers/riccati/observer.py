@@ -17,52 +17,38 @@ What deviates from the paper, and why:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
-from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from observers import ports
-from observers.component import Component, Enumeration, Port
-from observers.linearisation import Linearisation, linearisation, refuse_undetectable
+from observers.component import Component, Port
+from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_undetectable
 from observers.model import Model, refuse
-from observers.numerics.finite import HUGE
-from observers.numerics.layout import Layout
-from observers.numerics.riccati import propagator, symmetric
-from observers.numerics.runge_kutta import runge_kutta
-from observers.riccati import tuning
-from observers.riccati.certificates import CERTIFIED, NONE, Certificate, certificate, certificate_ports, certify
-from observers.riccati.correction import correction
-from observers.riccati.rosenbrock import rosenbrock
+from observers.riccati import steps
+from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
+from observers.riccati.design import UNKNOWN, Given, design
 
 STIFF = 2.0  # h |A| beyond which Runge-Kutta gives way to the exponential step
-
-STATUS = Enumeration(
-    "RiccatiStatus",
-    (
-        ("propagated_guess", "no sample yet: the estimate is the propagated guess"),
-        ("corrected", "the last sample corrected the estimate"),
-        (
-            "sample_rejected",
-            "a measurement was not finite: the estimate is the prediction, or rests on the other outputs",
-        ),
-        ("solver_failed", "a step was not finite: the estimate was held, Q starts again from Q0"),
-    ),
+INITIAL_ERROR = Port(
+    "tuning.initial_error",
+    "bound on |x0 - m0| where it is known better than by the model's bounds",
+    start=UNKNOWN,
+    min=0.0,
+    variability="fixed",
 )
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
-
-STATUS_PORT = ports.status(STATUS)
 
 
 def riccati(
     model: Model,
     *,
     sample_time: float,
-    N: ArrayLike = 1.0,
-    R: ArrayLike = 1.0,
-    Q0: ArrayLike = 1.0,
+    process_noise: Mapping[str, float] | None = None,
+    measurement_noise: Mapping[str, float] | None = None,
+    initial_std: Mapping[str, float] | None = None,
+    N: Given = None,
+    R: Given = None,
+    Q0: Given = None,
     guess: Mapping[str, float] | None = None,
     expose: Sequence[str] = (),
     stiff: bool | None = None,
@@ -72,23 +58,24 @@ def riccati(
 ) -> Component:
     """The observer for `model` as a component: measurements and known inputs in, `estimate.*` out.
 
+    The arguments that all observers share are explained in `observers.ports`.
+
     Args:
-        sample_time: start value of the parameter `sample_time`, Ts [s].
-        N, R, Q0: the paper's design matrices: scalar, diagonal or whole, over the states and unknown parameters (N, Q0) and over
-            the outputs (R); start values of `tuning.*`. N in units of the state per sqrt(s), R in units of the output times
-            sqrt(s), Q0 of the state squared.
-        guess: start values of `guess.*` (m0) that differ from the model's.
+        process_noise, measurement_noise, initial_std: standard deviations by name, as for every observer; on a linear model the estimate is
+            then the Kalman filter's.
+        N, R, Q0: the paper's design matrices instead: scalar, diagonal (in order, or by name) or whole, over the states and unknown
+            parameters (N, Q0) and over the outputs (R); start values of `tuning.*`. N in units of the state per sqrt(s), R in units of the
+            output times sqrt(s), Q0 of the state squared. The identity where nothing is given.
         expose: "Q" puts out the matrix Q, `diagnostics.Q[i,j]`.
         stiff: the mean by an exponential Rosenbrock step (order 2, any stiffness) instead of Runge-Kutta (order 8). None: where h |A|
             exceeds STIFF, |A| over the model's bounds if it is finite there, else at the start values.
-        name: the component's name; `<model>_riccati` if absent.
         max_step: the longest prediction step [s].
-        stop_time: of the default experiment [s].
 
     Raises:
         ModelError: algebraic variables or unknown disturbances, a state or unknown parameter that no output can ever see and that does
-            not decay by itself.
-        ValueError: a design matrix of a wrong shape or singular, a Q0 that is not symmetric positive definite, an unknown name in `expose`.
+            not decay by itself, a deviation of something that is not estimated or measured.
+        ValueError: a design matrix of a wrong shape or singular, a Q0 that is not symmetric positive definite, a deviation beside the
+            matrix that says the same, an unknown name in `expose`.
     """
     refuse(model, "riccati", "algebraic", "unknown_disturbances")
     unknown = sorted(set(expose) - {"Q"})
@@ -97,87 +84,40 @@ def riccati(
     refuse_undetectable(model, "riccati")
     period = ports.sample_time("riccati", sample_time)
     line = linearisation(model)
-    design = _design(model, line, N, R, Q0)
-    known = certificate(model, line, design.N.start, design.R.start, design.Q0.start)
+    deviations = {"process_noise": process_noise, "measurement_noise": measurement_noise, "initial_std": initial_std}
+    chosen = design(model, line.variables, sample_time, {"N": N, "R": R, "Q0": Q0}, deviations)
+    known = certificate(model, line, chosen.N.start, chosen.R.start, chosen.Q0.start)
     if stiff is None:
         stiff = min(sample_time, max_step) * (known.A if np.isfinite(known.A) else _norm_at_start(model, line)) > STIFF
-
-    n, ny, nu = len(line.variables), len(model.outputs), len(model.inputs)
-    state = Layout(
-        m=n, Q=n * n, m_filtered=n, guess_error=1, innovation=ny, status=1, certified=1, rate=1, rejected=1, failures=1
-    )
-    settings = Layout(
-        guess=n,
-        model=len(model.parameters),
-        N=len(design.N.ports),
-        R=len(design.R.ports),
-        Q0=len(design.Q0.ports),
-        initial_error=1,
-        sample_time=1,
-    )
-    z, u, p, t, h = (
-        ca.MX.sym(*shape) for shape in (("z", state.total), ("u", ny + nu), ("p", settings.total), ("t",), ("h",))
-    )
-    s, q = state.unpack(z), settings.unpack(p)
-    known_u = u[ny:] if nu else ca.MX(0, 1)
-    matrices = {key: getattr(design, key).expression(getattr(q, key)) for key in ("N", "R", "Q0")}
-    inner = SimpleNamespace(z=z, y=u[:ny], u=known_u, p=p, t=t, h=h, s=s, q=q, state=state, **matrices)
-
-    start = {
-        "m": q.guess,
-        "Q": ca.vec(ca.densify(inner.Q0)),
-        "m_filtered": q.guess,
-        "guess_error": known.distance(q.guess, q.initial_error),
-        "innovation": ca.DM.zeros(ny),
-        "status": ca.DM(CODE.propagated_guess),
-        "rejected": ca.DM(0),
-        "failures": ca.DM(0),
-    }
-    start["certified"], start["rate"] = certify(known, start["guess_error"], 1)
-    entries = [(i, j) for i in range(n) for j in range(n)] if "Q" in expose else []
-    Q_ports = tuple(
-        Port(f"diagnostics.Q[{i + 1},{j + 1}]", "covariance-like matrix Q of the gain, now") for i, j in entries
-    )
-    measured = [s.m, s.m_filtered, s.status, s.innovation, s.certified, s.rate, s.rejected, s.failures]
-    measured += [s.Q[i * n + j] for i, j in entries]
-    bounds = (
-        Port(
-            "tuning.initial_error",
-            "bound on |x0 - m0| where it is known better than by the model's bounds",
-            start=tuning.UNKNOWN,
-            min=0.0,
-            variability="fixed",
-        ),
-        period,
-    )
+    v = steps.parts(model, line, chosen, known, stiff)
+    shown = _shown(v, "Q" in expose)
     return Component(
         name=name or f"{model.name}_riccati",
         description=f"Riccati observer for {model.name} (James & Baras 1987)",
-        start=ca.Function("start", [p, t], [state.pack(start)]),
-        flow=ca.Function("flow", [z, u, p, t, h], [_flow(inner, line, stiff)]),
-        jump=ca.Function("jump", [z, u, p, t], [_jump(inner, line, design, known, model)]),
-        output=ca.Function("output", [z, u, p, t], [ca.vertcat(*measured)]),
-        inputs=ports.inputs(model),
+        start=steps.start(v),
+        flow=steps.flow(v),
+        jump=steps.jump(v),
+        output=ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)]),
+        inputs=(*ports.inputs(model), *ports.validity(model)),
         parameters=(
             *ports.guesses(model, guess or {}),
             *ports.known_parameters(model),
-            *design.N.ports,
-            *design.R.ports,
-            *design.Q0.ports,
-            *bounds,
+            *chosen.ports,
+            INITIAL_ERROR,
+            period,
         ),
         outputs=(
             *ports.estimates(model),
-            STATUS_PORT,
+            ports.status(steps.STATUS),
             *ports.innovations(model),
             *CERTIFIED,
             *ports.COUNTERS,
-            *Q_ports,
+            *(_entries(len(line.variables)) if "Q" in expose else ()),
         ),
         constants=certificate_ports(known),
         sample_time="sample_time",
         samples_inputs=True,
-        max_step=max_step,
+        max_step=max_step if stiff else prediction_step(model, max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
@@ -185,83 +125,22 @@ def riccati(
     )
 
 
-def _design(model: Model, line: Linearisation, N: ArrayLike, R: ArrayLike, Q0: ArrayLike) -> SimpleNamespace:
-    """The design matrices N, R, Q0 as tuning parameters."""
-    design = SimpleNamespace(
-        N=tuning.matrix("riccati", "N", N, line.variables, "disturbance intensity, in its unit per sqrt(s), of"),
-        R=tuning.matrix("riccati", "R", R, model.outputs, "measurement error, in its unit times sqrt(s), of"),
-        Q0=tuning.matrix("riccati", "Q0", Q0, line.variables, "first Q, in its unit squared, of", "fixed"),
-    )
-    if not np.array_equal(design.Q0.start, design.Q0.start.T) or np.linalg.eigvalsh(design.Q0.start).min() <= 0:
-        raise ValueError(f"riccati: Q0 = {design.Q0.start.tolist()} is not symmetric positive definite")
-    return design
+def _shown(v: steps.Parts, with_Q: bool) -> list[ca.MX]:
+    """The outputs, in their order."""
+    s, n = v.s, len(v.line.variables)
+    shown = [s.m, s.m_filtered, s.status, s.innovation, s.certified, s.rate, s.rejected, s.failures]
+    return shown + [s.Q[i * n + j] for i in range(n) for j in range(n)] * with_Q
+
+
+def _entries(n: int) -> tuple[Port, ...]:
+    text = "covariance-like matrix Q of the gain, now"
+    return tuple(Port(f"diagnostics.Q[{i + 1},{j + 1}]", text) for i in range(n) for j in range(n))
 
 
 def _norm_at_start(model: Model, line: Linearisation) -> float:
     """|A| at the model's start values and t = 0."""
     start = [np.array([v.start for v in group]) for group in (line.variables, model.inputs, model.parameters)]
     return float(np.linalg.norm(line.jacobian(*start, 0.0).full(), 2))
-
-
-def _flow(v: SimpleNamespace, line: Linearisation, stiff: bool) -> Any:
-    """(2.1), (2.2) without measurements over h; A at the middle of the step, so that Q too is of second order in it."""
-    s, q = v.s, v.q
-    n = len(line.variables)
-    Q, W = ca.reshape(s.Q, n, n), v.N @ v.N.T
-    if stiff:
-        at = (s.m, v.u, q.model, v.t)
-        dm, Phi, Wd = rosenbrock(line.jacobian(*at), line.rate(*at), line.rate_t(*at), W, v.h)
-        m = s.m + dm
-    else:
-        m = runge_kutta(lambda x, time: line.rate(x, v.u, q.model, time), s.m, v.t, v.h)
-        Phi, Wd = propagator(n)(line.jacobian((s.m + m) / 2, v.u, q.model, v.t + v.h / 2), W, v.h)
-    Q = ca.vec(symmetric(Wd + Phi @ Q @ Phi.T))
-    finite = ca.sumsqr(ca.vertcat(m, Q)) < HUGE
-    return v.state.replace(
-        v.z,
-        m=ca.if_else(finite, m, s.m),
-        Q=ca.if_else(finite, Q, ca.vec(ca.densify(v.Q0))),
-        status=ca.if_else(finite, s.status, CODE.solver_failed),
-        failures=s.failures + ca.logic_not(finite),
-    )
-
-
-def _jump(v: SimpleNamespace, line: Linearisation, design: SimpleNamespace, known: Certificate, model: Model) -> Any:
-    """The correction of m and Q by the sample at t_k."""
-    s, q = v.s, v.q
-    n, ny = len(line.variables), len(model.outputs)
-    at = (s.m, v.u, q.model, v.t)
-    residual = v.y - line.measure(*at)
-    valid = ca.fabs(residual) <= HUGE  # false for NaN
-    innovation = ca.if_else(valid, residual, 0)
-    Q = ca.reshape(s.Q, n, n)
-    m, Q_after = correction(n, ny)(s.m, Q, line.gradient(*at), innovation, v.R @ v.R.T / q.sample_time, valid)
-    Q_after = ca.vec(Q_after)
-    finite = ca.sumsqr(ca.vertcat(m, Q_after)) < HUGE
-    # The certificate holds for the design it was computed for, and while the estimate is where its bounds are valid.
-    values = ca.vertcat(q.model, q.N, q.R, q.Q0)
-    wanted = [
-        *(p.start for p in model.parameters),
-        *(p.start for key in ("N", "R", "Q0") for p in getattr(design, key).ports),
-    ]
-    holds = ca.logic_and(ca.sumsqr(values - ca.DM(wanted)) == 0, known.inside(ca.if_else(finite, m, s.m), v.u))
-    rejected = ca.sum1(valid) < ny
-    holds = ca.logic_and(ca.logic_and(holds, ca.logic_not(rejected)), s.certified > NONE)
-    certified, rate = certify(known, s.guess_error, holds)
-    status = ca.if_else(rejected, CODE.sample_rejected, ca.if_else(finite, CODE.corrected, CODE.solver_failed))
-    m = ca.if_else(finite, m, s.m)
-    return v.state.replace(
-        v.z,
-        m=m,
-        Q=ca.if_else(finite, Q_after, ca.vec(ca.densify(v.Q0))),
-        m_filtered=m,
-        innovation=innovation,
-        status=status,
-        certified=certified,
-        rate=rate,
-        rejected=s.rejected + rejected,
-        failures=s.failures + ca.logic_not(finite),
-    )
 
 
 def _documentation(model: Model, known: Certificate, stiff: bool) -> str:
@@ -273,4 +152,5 @@ def _documentation(model: Model, known: Certificate, stiff: bool) -> str:
         f"{known.html()}"
         "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
         "<code>filtered.*</code> of the last sample instant.</p>"
+        f"{ports.VALIDITY_HTML}"
     )

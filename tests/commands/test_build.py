@@ -1,4 +1,4 @@
-"""build_fmus.py as a user meets it: a model of their own, and one line, never a traceback, for a mistake."""
+"""observer-fmus build, as `python build_fmus.py`: a model of their own, and one line, never a traceback, for a mistake."""
 
 from __future__ import annotations
 
@@ -39,10 +39,11 @@ def build(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def refused(result: subprocess.CompletedProcess[str]) -> str:
-    """The one line of an error, behind the progress bar."""
+    """The one line of an error."""
     assert result.returncode == 2, result.stderr
-    assert "Traceback" not in result.stderr
-    return result.stderr.strip().splitlines()[-1]
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    return line
 
 
 def test_a_users_own_model_becomes_plant_and_observer(tmp_path: Path) -> None:
@@ -84,8 +85,10 @@ def test_a_file_that_cannot_be_built_is_named_with_the_reason(tmp_path: Path, te
     [
         (["--only", "duffin"], "'duffin' is neither an FMU (duffing, "),
         (["--only", "sine", "--platforms", "linux64, beos"], "platform 'beos' is unknown; known: host, all, linux64"),
+        (["--only", "sine", "--target", "cobol"], "target 'cobol' is unknown; known: native, python"),
         (["--only", "sine", "--out", "taken"], "cannot write to taken: File exists"),
         (["--file", "nowhere.py"], "nowhere.py: there is no such file"),
+        (["--file", "."], ".: is a folder"),
         (["--file", "nowhere.py", "--only", "sine"], "--file and --only exclude each other"),
     ],
 )

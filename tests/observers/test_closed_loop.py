@@ -130,14 +130,14 @@ def test_smaller_steps_run_the_same_loop_and_the_control_is_held_between_samples
 @pytest.mark.parametrize(
     "name", ["duffing_pseudospectral_controller", "duffing_ukf_controller", "motor_canonical_dae_controller"]
 )
-def test_nothing_that_is_composed_depends_directly_on_an_input(catalogue: Path, name: str) -> None:
-    description = fmpy.read_model_description(str(catalogue / "fmus" / f"{name}.fmu"))
+def test_nothing_that_is_composed_depends_directly_on_an_input(catalogue_fmu: Callable[[str], Path], name: str) -> None:
+    description = fmpy.read_model_description(str(catalogue_fmu(name)))
     assert {unknown.variable.name for unknown in description.outputs} >= {"estimate.x1", "u"}
     assert all(unknown.dependencies == [] for unknown in description.outputs)
 
 
-def test_the_controller_of_its_own_declares_its_direct_feedthrough(catalogue: Path) -> None:
-    description = fmpy.read_model_description(str(catalogue / "fmus" / "duffing_controller.fmu"))
+def test_the_controller_of_its_own_declares_its_direct_feedthrough(catalogue_fmu: Callable[[str], Path]) -> None:
+    description = fmpy.read_model_description(str(catalogue_fmu("duffing_controller")))
     (unknown,) = description.outputs
     assert [variable.name for variable in unknown.dependencies] == ["x1", "x2", "theta"]
 

@@ -170,4 +170,6 @@ def test_an_impossible_start_is_refused():
     with pytest.raises(ValueError, match="the start time nan is not finite"):
         Instance(counter(), t0=float("nan"))
     with pytest.raises(ValueError, match="growing_toy: the start values give no finite state at t = 0"):
+        Instance(growing_toy(), {"start.z": 1e308})
+    with pytest.raises(ValueError, match=r"growing_toy: start\.z = inf must be finite"):
         Instance(growing_toy(), {"start.z": float("inf")})

@@ -8,15 +8,25 @@ import fmpy
 import numpy as np
 import pytest
 
-from conftest import COMPONENTS, Slave
+import moving_window
+from components import COMPONENTS
 from moving_window import linear
+from observers.canonical_dae import canonical_dae
+from observers.component import Component
+from observers.elementary import elementary
 from observers.instance import Instance
+from observers.least_squares import least_squares
+from observers.model import Model
 from observers.pseudospectral import pseudospectral
 from observers.pseudospectral.ports import CODE
+from observers.riccati import riccati
 from observers.ukf import ukf
-from observers.ukf.observer import CODE as UKF_CODE
+from observers.ukf.steps import CODE as UKF_CODE
 from reference_models.duffing import DUFFING
+from reference_models.motor import MOTOR
 from reference_models.plant import plant
+from reference_models.van_der_pol import VAN_DER_POL_KNOWN
+from slave import Slave
 
 Make = Callable[..., Slave]
 
@@ -212,3 +222,97 @@ def test_the_fmu_runs_in_a_master_that_knows_nothing_of_gaps(built: Callable) ->
     )
     assert result["diagnostics.rejected_samples"][-1] == 0
     assert CODE.sample_rejected not in set(result["diagnostics.status"])
+
+
+def _motor(**options) -> Component:
+    return canonical_dae(MOTOR, sample_time=0.01, guess={"x3": 0.0}, **options)
+
+
+# Of each of the other observers: a component, what its measured plant is, its known inputs.
+OTHERS: dict[str, tuple[Callable[[], Component], Model, dict[str, float]]] = {
+    "riccati": (lambda: riccati(moving_window.linear(), sample_time=0.1), moving_window.linear(), {}),
+    "least squares": (
+        lambda: least_squares(moving_window.linear(), sample_time=0.1, T=0.5),
+        moving_window.linear(),
+        {},
+    ),
+    "canonical DAE": (_motor, MOTOR, {"u": 2.0}),
+    "canonical DAE, BDF": (lambda: _motor(form="bdf"), MOTOR, {"u": 2.0}),
+    "elementary": (
+        lambda: elementary(VAN_DER_POL_KNOWN, sample_time=0.05, N=11, guess={"x2": 0.0}),
+        VAN_DER_POL_KNOWN,
+        {"u": 0.2},
+    ),
+}
+
+
+def beside_the_plant(made, model, known, arrives, mark):
+    """The outputs of the observer `made` after every step beside the plant of `model`; `mark(run, y)` where a sample has not arrived."""
+    p, run = Instance(plant(model)), Instance(made)
+    Ts, rows = run.sample_time, []
+    for k, there in enumerate(arrives):
+        for name, value in known.items():
+            p.set(name, value)
+            run.set(name, value)
+        for i, v in enumerate(model.outputs):
+            run.set(v.name, p.get(v.name))
+            run.set(f"measurement_valid.{v.name}", 1.0)
+            if not there[i]:
+                mark(run, v.name)
+        p.step(Ts * k, Ts)
+        run.step(Ts * k, Ts)
+        rows.append(run.outputs())
+    return np.array(rows), run
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_in_every_other_observer_too_a_flagged_sample_is_as_one_that_is_no_number_but_not_rejected(kind: str) -> None:
+    make, model, known = OTHERS[kind]
+    made, ny = make(), len(model.outputs)
+    arrives = np.random.default_rng(3).random((60, ny)) > 0.3
+    arrives[30:35] = False
+
+    def by_flag(run, y):
+        run.set(y, 1e6)
+        run.set(f"measurement_valid.{y}", 0.0)
+
+    flagged_rows, with_flags = beside_the_plant(made, model, known, arrives, by_flag)
+    nan_rows, with_nan = beside_the_plant(made, model, known, arrives, lambda run, y: run.set(y, np.nan))
+    names = [port.name for port in made.outputs]
+    counter = names.index("diagnostics.rejected_samples")
+    np.testing.assert_array_equal(np.delete(flagged_rows, counter, 1), np.delete(nan_rows, counter, 1))
+    assert np.isfinite(flagged_rows).all()
+    incomplete = ~arrives.all(axis=1)
+    assert with_flags.get("diagnostics.rejected_samples") == 0
+    assert with_nan.get("diagnostics.rejected_samples") == incomplete.sum() > 15
+    for i in range(ny):
+        innovation = names.index(f"diagnostics.innovation[{i + 1}]" if ny > 1 else "diagnostics.innovation")
+        assert np.all(flagged_rows[~arrives[:, i], innovation] == 0)
+    status = next(port for port in made.outputs if port.name == "diagnostics.status").enumeration
+    assert status is not None
+    rejected = [item for item, _ in status.items].index("sample_rejected") + 1
+    shown = flagged_rows[:, names.index("diagnostics.status")] == rejected
+    nothing = ~arrives.any(axis=1)
+    assert np.all(shown[nothing]) and not np.any(shown & ~incomplete)
+
+
+@pytest.mark.parametrize("name", ["motor_canonical_dae", "van_der_pol_known_elementary"])
+def test_their_fmus_do_with_flags_what_the_python_face_does(slave: Make, name: str) -> None:
+    fmu, face = slave(name).initialize(), Instance(COMPONENTS[name]())
+    outputs = [
+        port.name.removeprefix("measurement_valid.")
+        for port in face.component.inputs
+        if port.name.startswith("measurement_valid.")
+    ]
+    rng, Ts = np.random.default_rng(4), face.sample_time
+    for k in range(40):
+        for i, y in enumerate(outputs):
+            there = rng.random() > 0.3
+            for run in (fmu, face):
+                run.set(y, 0.7 + 0.1 * np.sin(0.1 * k + i) if there else 1e6)
+                run.set(f"measurement_valid.{y}", float(there))
+        for run in (fmu, face):
+            run.step(k * Ts, Ts)
+        found = [fmu.get(port.name) for port in face.component.outputs]
+        np.testing.assert_allclose(found, face.outputs(), rtol=1e-9, atol=1e-9)
+    assert fmu.get("diagnostics.rejected_samples") == 0

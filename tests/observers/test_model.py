@@ -150,3 +150,8 @@ def test_the_observer_refuses_structure_out_of_range():
 def test_a_jump_of_a_known_parameter_is_refused():
     with pytest.raises(ValueError, match="jumps of 'damping', which is no unknown parameter"):
         plant(DUFFING, jumps={"damping": 1})
+
+
+def test_a_variable_without_a_unit_expression_is_refused_by_name() -> None:
+    with pytest.raises(ModelError, match="variable 'force': unit = '' is no unit expression"):
+        Variable("force", unit="")

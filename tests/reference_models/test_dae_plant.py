@@ -11,9 +11,10 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from scipy.integrate import solve_ivp
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from observers.instance import Instance
 from rlc_branches import STARTS
+from slave import Slave
 
 Make = Callable[..., Slave]
 

@@ -94,9 +94,9 @@ def test_outputs_are_the_estimate_of_their_own_time_for_random_steps_that_hit_th
                 assert abs(observer.get("estimate.x2") - plant.get("x.x2")) < 1e-8
 
 
-def test_the_plant_is_accurate_to_1e_9_over_50_s_with_jumps_of_theta(catalogue: Path) -> None:
+def test_the_plant_is_accurate_to_1e_9_over_50_s_with_jumps_of_theta(catalogue_fmu: Callable[[str], Path]) -> None:
     element = Element(
-        catalogue / "fmus" / "duffing.fmu",
+        catalogue_fmu("duffing"),
         {
             "parameter.theta_jump_time[1]": 10.03,
             "parameter.theta_jump_value[1]": 0.1,
@@ -127,9 +127,9 @@ def test_the_plant_is_accurate_to_1e_9_over_50_s_with_jumps_of_theta(catalogue: 
         x = reference[:, -1]
 
 
-def test_the_sensors_sequences_of_seeds_0_to_39_do_not_correlate(catalogue: Path) -> None:
+def test_the_sensors_sequences_of_seeds_0_to_39_do_not_correlate(catalogue_fmu: Callable[[str], Path]) -> None:
     sensor = {"sensor.sample_time": 0.1, "sensor.noise_bound": 1.0}
-    system = System("alone", {"plant": Element(catalogue / "fmus" / "duffing.fmu", sensor)})
+    system = System("alone", {"plant": Element(catalogue_fmu("duffing"), sensor)})
     noise = []
     for seed in range(40):
         result = run(system, stop=499.9, step=0.1, overrides={"plant.sensor.seed": seed})

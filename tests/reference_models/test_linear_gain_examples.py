@@ -2,9 +2,7 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 
-import fmpy.validation
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -12,8 +10,8 @@ from scipy.integrate import solve_ivp
 from build_fmus import FMUS, SYSTEMS
 from cosim.results import Result
 from observers.instance import Instance
-from observers.least_squares import observer as least_squares
-from observers.riccati import observer as riccati
+from observers.least_squares import steps as least_squares
+from observers.riccati import steps as riccati
 from observers.riccati.certificates import ANYWHERE
 
 OBSERVERS = ["james_baras_5_1_riccati", "james_baras_5_2_riccati", "chen_yen_least_squares"]
@@ -74,7 +72,7 @@ def test_the_certificates_of_james_and_baras_examples_hold_along_the_run(
     result, component = example(name), FMUS[SYSTEMS[name].fmus["observer"]][0]()
     constant = {port.name.removeprefix("certificate."): port.start for port in component.constants}
     assert set(result["observer.diagnostics.certified"]) == {ANYWHERE}
-    n = len(component.inputs) if name.endswith("1") else 2
+    n = sum(port.name.startswith("estimate.") for port in component.outputs)
     entries = [result[f"observer.diagnostics.Q[{i + 1},{j + 1}]"] for i in range(n) for j in range(n)]
     eigenvalues = np.linalg.eigvalsh(np.array(entries).T.reshape(-1, n, n))
     assert eigenvalues.max() <= constant["q"] and 1 / eigenvalues.min() <= constant["p"]
@@ -218,11 +216,6 @@ def test_with_noise_of_0_1_every_0_05_s_the_rms_error_is_at_most_0_025(example: 
             np.mean((result[f"observer.estimate.{s}"] - result[f"plant.x.{s}"])[late] ** 2) for s in ("x1", "x2")
         ]
     assert math.sqrt(np.mean(squares)) <= 0.025
-
-
-@pytest.mark.parametrize("name", [*OBSERVERS, "james_baras_5_1", "james_baras_5_2", "chen_yen"])
-def test_fmpy_finds_nothing_wrong(catalogue: Path, name: str) -> None:
-    assert fmpy.validation.validate_fmu(str(catalogue / "fmus" / f"{name}.fmu")) == []
 
 
 @pytest.mark.parametrize("name", OBSERVERS)

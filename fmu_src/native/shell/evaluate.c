@@ -19,12 +19,18 @@ void set_defaults(Instance *self)
     self->stale_start = true; /* and the outputs with it */
 }
 
+/* A number is not finite where all eleven bits of its exponent are set, so that one more overflows into the sign: without
+   branches compilers look at several numbers at once. */
 bool all_finite(const double *values, size_t n)
 {
-    int bad = 0;
-    for (size_t i = 0; i < n; i++)
-        bad |= !isfinite(values[i]);
-    return !bad;
+    const uint64_t exponent = UINT64_C(0x7ff0000000000000), one = UINT64_C(0x0010000000000000);
+    uint64_t overflow = 0;
+    for (size_t i = 0; i < n; i++) {
+        uint64_t bits;
+        memcpy(&bits, values + i, sizeof bits);
+        overflow |= (bits & exponent) + one;
+    }
+    return !(overflow >> 63);
 }
 
 /* Whether the component says that its motion cannot go on; see component.h. */
@@ -36,6 +42,11 @@ bool has_failed(const double *z)
 void report_failure(Instance *self, const double *z, const char *occasion)
 {
     const double *last = z + component.n_states - 3;
+    if (!(last[0] >= 1 && last[0] <= (double)component.n_failures)) { /* none of the component's own */
+        report(self, fmi2Error, LOG_ERROR, "%s: the motion ended with the unknown code %g%s.", component.name, last[0],
+               occasion);
+        return;
+    }
     const Failure *failure = component.failures + (size_t)last[0] - 1;
     report(self, fmi2Error, LOG_ERROR, "%s: %s at t = %.10g, where %s is %.4g%s.", component.name, failure->what,
            last[1], failure->measure, last[2], occasion);
@@ -57,7 +68,7 @@ bool refresh_start(Instance *self)
         return false;
     }
     self->arg[0] = self->p;
-    self->arg[1] = &run->t0;
+    self->arg[1] = &run->clock.t0;
     self->res[0] = self->scratch[0];
     int unevaluated = component.start(self->arg, self->res, self->iw, self->w, 0);
     if (unevaluated == 0 && has_failed(self->scratch[0])) {
@@ -66,17 +77,15 @@ bool refresh_start(Instance *self)
     }
     if (unevaluated != 0 || !all_finite(self->scratch[0], component.n_states)) {
         report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g.", component.name,
-               run->t0);
+               run->clock.t0);
         return false;
     }
     double *z = self->z;
     self->z = self->scratch[0];
     self->scratch[0] = z;
-    run->time = run->t0;
-    run->ticks = 0;
-    run->sample_time = sample_time;
+    run->clock = clock_at(run->clock.t0, sample_time);
     for (size_t i = 0; i < component.n_breaks; i++) { /* insertion sort: a handful of times, once */
-        double instant = self->p[component.breaks[i]];
+        double instant = self->p[component.breaks[i]] - run->clock.t0;
         size_t k = i;
         for (; k > 0 && self->breaks[k - 1] > instant; k--)
             self->breaks[k] = self->breaks[k - 1];
@@ -87,7 +96,26 @@ bool refresh_start(Instance *self)
     return true;
 }
 
-/* y = output(z, u, p, time). False, with a message, where it cannot be evaluated. */
+/* The value as messages show it: the sign of what is no number is chance. */
+double shown(double value)
+{
+    return isnan(value) ? fabs(value) : value;
+}
+
+/* The name and value of an input that is not finite, or NULL. */
+const char *bad_input(const Instance *self, double *value)
+{
+    for (size_t i = 0; i < component.n_inputs; i++) {
+        if (!isfinite(self->u[i])) {
+            *value = shown(self->u[i]);
+            return component.variables[i].name;
+        }
+    }
+    return NULL;
+}
+
+/* y = output(z, u, p, time). False, with a message, where it cannot be evaluated or is not finite though all inputs are;
+   an input that is not may show in an output that it feeds. */
 bool evaluate_outputs(Instance *self, const double *z, double time)
 {
     self->arg[0] = z;
@@ -101,6 +129,16 @@ bool evaluate_outputs(Instance *self, const double *z, double time)
                time);
         return false;
     }
+    double value;
+    self->finite_outputs = all_finite(self->y, component.n_outputs);
+    if (!self->finite_outputs && !bad_input(self, &value)) {
+        size_t i = 0;
+        while (isfinite(self->y[i]))
+            i++;
+        report(self, fmi2Error, LOG_ERROR, "%s: the output %s is %g at t = %.15g.", component.name,
+               component.variables[component.n_inputs + component.n_parameters + i].name, shown(self->y[i]), time);
+        return false;
+    }
     self->stale_outputs = false;
     return true;
 }
@@ -108,5 +146,5 @@ bool evaluate_outputs(Instance *self, const double *z, double time)
 /* The outputs at the current time, unless they are up to date. */
 bool refresh_outputs(Instance *self)
 {
-    return refresh_start(self) && (!self->stale_outputs || evaluate_outputs(self, self->z, self->run.time));
+    return refresh_start(self) && (!self->stale_outputs || evaluate_outputs(self, self->z, clock_time(&self->run.clock)));
 }

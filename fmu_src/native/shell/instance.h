@@ -6,18 +6,12 @@
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
-#include <float.h>
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "clock.h"
 #include "component.h"
 #include "fmi2Functions.h"
-
-#define NANOSECONDS 1e9 /* times are counted in these */
-#define SNAP 1e-6       /* of a sample time, or of a second if that is less: times closer than this are the same */
-#define SHORTEST_SAMPLE_TIME 1e-6 /* [s]; 1000 nanoseconds: below, SNAP drowns in the rounding of times */
-#define RESOLUTION (4 * DBL_EPSILON) /* of a time: what two importers' sums for it may differ by */
-#define COARSE 0.01                  /* of a sample time: where RESOLUTION exceeds this, instants cannot be told apart */
 
 /* What the shell's files offer each other has the model's name in it; see component.h. */
 #define report PREFIX(report)
@@ -29,6 +23,7 @@
 #define all_finite PREFIX(all_finite)
 #define has_failed PREFIX(has_failed)
 #define report_failure PREFIX(report_failure)
+#define bad_input PREFIX(bad_input)
 
 typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEP_COMPLETE = 4, TERMINATED = 8 } Lifecycle;
 #define ANY_STATE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE | TERMINATED)
@@ -41,10 +36,9 @@ typedef struct {
     int64_t lifecycle;
     int64_t is_set_up; /* fmi2SetupExperiment was called */
     int64_t stop_time_defined;
-    int64_t ticks;        /* sample instants so far: the next is t0 + ticks * sample_time */
     int64_t extrapolates; /* input derivatives are set for the next step */
-    double t0, stop_time, time;
-    double sample_time;
+    double stop_time;
+    Clock clock;
 } Run;
 
 typedef struct {
@@ -54,13 +48,14 @@ typedef struct {
     Run run;
     bool stale_start;   /* z does not yet follow from the parameters (before and in initialization mode) */
     bool stale_outputs; /* y does not yet follow from z, u, p and time */
+    bool finite_outputs;
     double *values;     /* by value reference: u, p, y, constants */
     double *u, *p, *y;  /* in `values` */
     double *du;         /* input derivatives */
     double *u_now;      /* inputs extrapolated to a time within the step */
-    double *z;          /* the state at run.time */
+    double *z;          /* the state at the clock's time */
     double *scratch[2]; /* doStep works here and swaps at its end */
-    double *breaks;     /* ascending */
+    double *breaks;     /* since t0 [s], ascending */
     double *counts;     /* counters after the last step */
     const double **arg;
     double **res;
@@ -82,6 +77,8 @@ void set_defaults(Instance *self);
 bool refresh_start(Instance *self);
 bool evaluate_outputs(Instance *self, const double *z, double time);
 bool refresh_outputs(Instance *self);
+const char *bad_input(const Instance *self, double *value);
+double shown(double value);
 bool all_finite(const double *values, size_t n);
 bool has_failed(const double *z);
 void report_failure(Instance *self, const double *z, const char *occasion);

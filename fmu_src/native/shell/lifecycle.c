@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "instance.h"
+#include "border.h"
 
 const char *fmi2GetTypesPlatform(void)
 {
@@ -114,26 +114,22 @@ void fmi2FreeInstance(fmi2Component c)
         self->callbacks.freeMemory(self);
 }
 
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
-                               fmi2Boolean stopTimeDefined, fmi2Real stopTime)
+fmi2Status set_up_experiment(Instance *self, double start, bool stop_defined, double stop)
 {
-    Instance *self = c;
-    (void)toleranceDefined; /* the component's max_step fixes the accuracy, no error estimate controls a step */
-    (void)tolerance;
     if (!allowed(self, "fmi2SetupExperiment", INSTANTIATED))
         return fmi2Error;
-    if (!isfinite(startTime)) {
-        report(self, fmi2Error, LOG_ERROR, "fmi2SetupExperiment: the start time %g is not finite.", startTime);
+    if (!isfinite(start)) {
+        report(self, fmi2Error, LOG_ERROR, "fmi2SetupExperiment: the start time %g is not finite.", start);
         return fmi2Error;
     }
-    if (stopTimeDefined && !(stopTime >= startTime)) {
+    if (stop_defined && !(stop >= start)) {
         report(self, fmi2Error, LOG_ERROR, "fmi2SetupExperiment: the stop time %.15g lies before the start time %.15g.",
-               stopTime, startTime);
+               stop, start);
         return fmi2Error;
     }
-    self->run.t0 = self->run.time = startTime;
-    self->run.stop_time_defined = stopTimeDefined != fmi2False;
-    self->run.stop_time = stopTimeDefined ? stopTime : 0;
+    self->run.clock = clock_at(start, 0);
+    self->run.stop_time_defined = stop_defined;
+    self->run.stop_time = stop_defined ? stop : 0;
     self->run.is_set_up = 1;
     self->stale_start = true;
     return fmi2OK;
@@ -152,26 +148,24 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c)
     return fmi2OK;
 }
 
-fmi2Status fmi2ExitInitializationMode(fmi2Component c)
+fmi2Status exit_initialization_mode(Instance *self)
 {
-    Instance *self = c;
     if (!allowed(self, "fmi2ExitInitializationMode", INITIALIZATION))
         return fmi2Error;
     if (!refresh_start(self))
         return fmi2Error;
     self->run.lifecycle = STEP_COMPLETE;
-    report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name, self->run.t0,
-           self->run.sample_time);
+    report(self, fmi2OK, LOG_EVENTS, "%s: initialized at t = %.15g, sample time %.10g.", component.name,
+           self->run.clock.t0, self->run.clock.sample_time);
     return fmi2OK;
 }
 
-fmi2Status fmi2Terminate(fmi2Component c)
+fmi2Status terminate(Instance *self)
 {
-    Instance *self = c;
     if (!allowed(self, "fmi2Terminate", STEP_COMPLETE))
         return fmi2Error;
     self->run.lifecycle = TERMINATED;
-    report(self, fmi2OK, LOG_EVENTS, "%s: terminated at t = %.15g.", component.name, self->run.time);
+    report(self, fmi2OK, LOG_EVENTS, "%s: terminated at t = %.15g.", component.name, clock_time(&self->run.clock));
     return fmi2OK;
 }
 

@@ -2,12 +2,13 @@
 
    Header, then doubles. Everything is eight bytes wide, and a serialised state says to which FMU it belongs, how long
    it is and what it must add up to; so it can be resumed bit for bit wherever the same FMU runs, and nothing else is
-   taken for one. */
+   taken for one. A checksum is no proof: what the state holds must be what an instance can hold. */
+#include <math.h>
 #include <string.h>
 
-#include "instance.h"
+#include "border.h"
 
-#define MAGIC UINT64_C(0x313053554d46534f) /* "OSFMUS01" on a little-endian machine */
+#define MAGIC UINT64_C(0x323053554d46534f) /* "OSFMUS02" on a little-endian machine */
 
 typedef struct {
     uint64_t magic, guid, bytes, checksum;
@@ -105,12 +106,86 @@ static bool is_ours(Instance *self, const char *function, const void *block)
     return true;
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate)
+static bool is_flag(int64_t value)
 {
-    Instance *self = c;
-    if (!allowed(self, "fmi2SetFMUstate", ANY_STATE) || !is_ours(self, "fmi2SetFMUstate", FMUstate))
+    return value == 0 || value == 1;
+}
+
+static bool is_sound_run(const Run *run)
+{
+    return (run->lifecycle == INSTANTIATED || run->lifecycle == INITIALIZATION || run->lifecycle == STEP_COMPLETE ||
+            run->lifecycle == TERMINATED) &&
+           is_flag(run->is_set_up) && (run->is_set_up || run->lifecycle == INSTANTIATED) &&
+           is_flag(run->stop_time_defined) && is_flag(run->extrapolates) &&
+           (!run->stop_time_defined || run->stop_time >= run->clock.t0) && clock_is_sound(&run->clock);
+}
+
+/* The i-th of the doubles after the header; serialised bytes need not be aligned. */
+static double number(const char *block, size_t i)
+{
+    double value;
+    memcpy(&value, block + sizeof(Header) + i * sizeof value, sizeof value);
+    return value;
+}
+
+/* u and p: whole numbers where the type asks for them, parameters within their bounds. */
+static bool are_sound_values(const char *block)
+{
+    for (size_t i = 0; i < component.n_inputs + component.n_parameters; i++) {
+        const Variable *variable = &component.variables[i];
+        double value = number(block, component.n_states + i);
+        if ((variable->type != REAL && value != rint(value)) || (variable->type == BOOLEAN && value != 0 && value != 1))
+            return false;
+        if (variable->role != INPUT && !(isfinite(value) && variable->min <= value && value <= variable->max))
+            return false;
+    }
+    return true;
+}
+
+/* What follows once the run has started: the clock's unit and the breaks from the parameters, numbers in z and counts. */
+static bool is_sound_motion(const Run *run, const char *block)
+{
+    size_t p = component.n_states + component.n_inputs, breaks = p + component.n_parameters + component.n_inputs;
+    int named = component.sample_time_parameter;
+    if (run->clock.sample_time != (named >= 0 ? number(block, p + (size_t)named) : component.sample_time))
+        return false;
+    for (size_t i = 0; i < component.n_states; i++)
+        if (!isfinite(number(block, i)))
+            return false;
+    if (component.n_failures > 0 && number(block, component.n_states - 3) != 0)
+        return false;
+    for (size_t i = 0; i < component.n_counters; i++)
+        if (!isfinite(number(block, breaks + component.n_breaks + i)))
+            return false;
+    for (size_t i = 0; i < component.n_breaks; i++) {
+        double instant = number(block, breaks + i);
+        size_t k = 0;
+        while (k < component.n_breaks && number(block, p + component.breaks[k]) - run->clock.t0 != instant)
+            k++;
+        if (k == component.n_breaks || (i > 0 && number(block, breaks + i - 1) > instant))
+            return false;
+    }
+    return true;
+}
+
+/* Can an instance be in this state of ours? */
+static bool is_sound(Instance *self, const char *function, const char *block)
+{
+    Header header;
+    memcpy(&header, block, sizeof header);
+    bool started = header.run.lifecycle == STEP_COMPLETE || header.run.lifecycle == TERMINATED;
+    if (is_sound_run(&header.run) && are_sound_values(block) && (!started || is_sound_motion(&header.run, block)))
+        return true;
+    report(self, fmi2Error, LOG_ERROR, "%s: the state holds what no instance of %s can hold.", function,
+           component.name);
+    return false;
+}
+
+fmi2Status set_state(Instance *self, const char *block)
+{
+    if (!allowed(self, "fmi2SetFMUstate", ANY_STATE) || !is_ours(self, "fmi2SetFMUstate", block) ||
+        !is_sound(self, "fmi2SetFMUstate", block))
         return fmi2Error;
-    const char *block = FMUstate;
     Header header;
     memcpy(&header, block, sizeof header);
     block += sizeof header;
@@ -164,10 +239,8 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
     return fmi2OK;
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
-                                   fmi2FMUstate *FMUstate)
+fmi2Status deserialize_state(Instance *self, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
-    Instance *self = c;
     if (!allowed(self, "fmi2DeSerializeFMUstate", ANY_STATE))
         return fmi2Error;
     if (size != state_bytes()) {
@@ -175,17 +248,19 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
                (unsigned long)size, component.name, (unsigned long)state_bytes());
         return fmi2Error;
     }
-    if (!is_ours(self, "fmi2DeSerializeFMUstate", serializedState))
+    if (!is_ours(self, "fmi2DeSerializeFMUstate", bytes))
         return fmi2Error;
     Header header;
-    memcpy(&header, serializedState, sizeof header);
-    if (header.checksum != payload_checksum(serializedState)) {
+    memcpy(&header, bytes, sizeof header);
+    if (header.checksum != payload_checksum(bytes)) {
         report(self, fmi2Error, LOG_ERROR, "fmi2DeSerializeFMUstate: the bytes are damaged, their checksum differs.");
         return fmi2Error;
     }
-    void *block = provide(self, "fmi2DeSerializeFMUstate", FMUstate);
+    if (!is_sound(self, "fmi2DeSerializeFMUstate", bytes))
+        return fmi2Error;
+    void *block = provide(self, "fmi2DeSerializeFMUstate", state);
     if (!block)
         return fmi2Error;
-    memcpy(block, serializedState, size);
+    memcpy(block, bytes, size);
     return fmi2OK;
 }

@@ -1,6 +1,6 @@
 /* What an importer may ask between steps. fmi2DoStep is synchronous: no step is ever pending, so there is none to
    cancel or to report on. */
-#include "instance.h"
+#include "border.h"
 
 fmi2Status fmi2CancelStep(fmi2Component c)
 {
@@ -9,6 +9,13 @@ fmi2Status fmi2CancelStep(fmi2Component c)
         report(self, fmi2Error, LOG_ERROR,
                "fmi2CancelStep: no step is in progress, fmi2DoStep never returns fmi2Pending.");
     return fmi2Error;
+}
+
+static bool has_place(Instance *self, const char *function, const void *value)
+{
+    if (!value)
+        report(self, fmi2Error, LOG_ERROR, "%s: the place for the value is a null pointer.", function);
+    return value != NULL;
 }
 
 /* fmi2Discard is the standard's answer where the asked status does not exist. */
@@ -27,14 +34,13 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *va
     return no_such_status(c, "fmi2GetStatus", s);
 }
 
-fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value)
+fmi2Status get_real_status(Instance *self, fmi2StatusKind s, fmi2Real *value)
 {
-    Instance *self = c;
     if (s != fmi2LastSuccessfulTime)
         return no_such_status(self, "fmi2GetRealStatus", s);
-    if (!allowed(self, "fmi2GetRealStatus", STEP_COMPLETE | TERMINATED) || !value)
+    if (!allowed(self, "fmi2GetRealStatus", STEP_COMPLETE | TERMINATED) || !has_place(self, "fmi2GetRealStatus", value))
         return fmi2Error;
-    *value = self->run.time;
+    *value = clock_time(&self->run.clock);
     return fmi2OK;
 }
 
@@ -49,7 +55,8 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
     Instance *self = c;
     if (s != fmi2Terminated)
         return no_such_status(self, "fmi2GetBooleanStatus", s);
-    if (!allowed(self, "fmi2GetBooleanStatus", STEP_COMPLETE | TERMINATED) || !value)
+    if (!allowed(self, "fmi2GetBooleanStatus", STEP_COMPLETE | TERMINATED) ||
+        !has_place(self, "fmi2GetBooleanStatus", value))
         return fmi2Error;
     *value = fmi2False; /* the component itself never asks to end a simulation */
     return fmi2OK;

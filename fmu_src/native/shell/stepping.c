@@ -1,38 +1,19 @@
 /* fmi2DoStep: from t to t + h. Every sample instant in [t, t + h) jumps with the inputs set before the step, then the
-   state flows to t + h.
-
-   Time is counted, never accumulated: sample instants are t0 + k Ts, and every time that the importer hands in is
-   snapped first to whole nanoseconds and then to a sample instant nearby, so that importers which accumulate, multiply
-   or round times get identical bits. */
+   state flows to t + h. Times within a step are counted from t0 [s]. */
 #include <math.h>
 #include <string.h>
 
-#include "instance.h"
+#include "border.h"
 
-/* How far two times at about t may lie apart and still be the same. */
-static double tolerance(const Run *run, double t)
-{
-    return fmax(fmax(SNAP * fmin(run->sample_time, 1), 1 / NANOSECONDS), RESOLUTION * fabs(t));
-}
+#define MOST_SUBSTEPS 1e6 /* in one step: nothing can interrupt them */
 
-static double snap(const Run *run, double t)
-{
-    t = run->t0 + rint((t - run->t0) * NANOSECONDS) / NANOSECONDS;
-    if (run->sample_time > 0) {
-        double instant = run->t0 + rint((t - run->t0) / run->sample_time) * run->sample_time;
-        if (fabs(t - instant) <= tolerance(run, t))
-            return instant;
-    }
-    return t;
-}
-
-/* The inputs at time t within the step: as set, or extrapolated with the derivatives that were set for this step. */
-static const double *inputs_at(Instance *self, double t)
+/* The inputs at time s within the step: as set, or extrapolated with the derivatives that were set for this step. */
+static const double *inputs_at(Instance *self, double s)
 {
     if (!self->run.extrapolates)
         return self->u;
     for (size_t i = 0; i < component.n_inputs; i++)
-        self->u_now[i] = self->u[i] + self->du[i] * (t - self->run.time);
+        self->u_now[i] = self->u[i] + self->du[i] * (s - self->run.clock.elapsed);
     return self->u_now;
 }
 
@@ -65,73 +46,94 @@ static bool flow(Instance *self, Pair *pair, double start, double end)
     double substeps = fmax(1, ceil((end - start) / component.max_step - SNAP));
     double h = (end - start) / substeps;
     for (double i = 0; i < substeps; i++) {
-        double t = start + i * h;
-        if (!move(self, pair, component.flow, inputs_at(self, t + h / 2), t, h))
+        double s = start + i * h;
+        if (!move(self, pair, component.flow, inputs_at(self, s + h / 2), self->run.clock.t0 + s, h))
             return false;
     }
     return true;
 }
 
-/* Moves the pair from run.time to `end` and counts the ticks on the way. */
-static bool advance(Instance *self, Pair *pair, double end, int64_t *ticks)
+/* As flow, cut at the breaks. */
+static bool flow_in_pieces(Instance *self, Pair *pair, double start, double end)
 {
-    const Run *run = &self->run;
-    double now = run->time, slack = tolerance(run, end);
-    for (;;) {
-        double tick = run->sample_time > 0 ? run->t0 + (double)*ticks * run->sample_time : HUGE_VAL;
-        bool due = tick < end - slack;
-        if (due && tick <= now + slack) {
-            if (component.jump && !move(self, pair, component.jump, inputs_at(self, tick), tick, 0))
+    for (size_t i = 0; i < component.n_breaks; i++) {
+        double instant = self->breaks[i];
+        if (start + 1 / NANOSECONDS < instant && instant < end - 1 / NANOSECONDS) {
+            if (!flow(self, pair, start, instant))
                 return false;
-            ++*ticks;
-            continue;
+            start = instant;
         }
-        double until = due ? tick : end;
-        for (size_t i = 0; i < component.n_breaks; i++) {
-            if (now + 1 / NANOSECONDS < self->breaks[i] && self->breaks[i] < until - 1 / NANOSECONDS) {
-                until = self->breaks[i];
-                break;
-            }
-        }
-        if (!flow(self, pair, now, until))
-            return false;
-        now = until;
-        if (!due && until == end)
-            return true;
     }
+    return flow(self, pair, start, end);
 }
 
-static bool legal_step(Instance *self, double t, double h, double end)
+/* Moves the pair from the instance's clock to `after`. */
+static bool advance(Instance *self, Pair *pair, const Clock *after)
 {
-    const Run *run = &self->run;
+    const Clock *clock = &self->run.clock;
+    double now = clock->elapsed;
+    int64_t end = clock_ticks(after);
+    for (int64_t k = clock_ticks(clock); k < end; k++) {
+        double tick = (double)k * clock->sample_time;
+        if (tick > now) {
+            if (!flow_in_pieces(self, pair, now, tick))
+                return false;
+            now = tick;
+        }
+        if (component.jump && !move(self, pair, component.jump, inputs_at(self, tick), clock->t0 + tick, 0))
+            return false;
+    }
+    return flow_in_pieces(self, pair, now, after->elapsed);
+}
+
+/* The clock after the step, if the step is legal. */
+static bool legal_step(Instance *self, double t, double h, Clock *after)
+{
+    const Clock *clock = &self->run.clock;
+    const char *name = component.name;
+    double ts = clock->sample_time, stop = self->run.stop_time;
     if (!(isfinite(h) && h > 0)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: step size h = %.10g must be positive.", component.name, h);
+        report(self, fmi2Error, LOG_ERROR, "%s: step size h = %.10g must be positive.", name, h);
         return false;
     }
-    if (!(fabs(t - run->time) <= tolerance(run, run->time))) {
-        report(self, fmi2Error, LOG_ERROR, "%s: step from t = %.15g, but the current time is %.15g.", component.name, t,
-               run->time);
-        return false;
-    }
-    if (component.samples_inputs && run->sample_time > 0 && h > run->sample_time * (1 + SNAP)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: step size h = %.10g exceeds the sample time %.10g.", component.name, h,
-               run->sample_time);
-        return false;
-    }
-    if (run->stop_time_defined && end > run->stop_time + tolerance(run, run->stop_time)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the step from t = %.15g to %.15g goes beyond the stop time %.15g.",
-               component.name, t, end, run->stop_time);
-        return false;
-    }
-    if (!(end >= run->time && isfinite(end))) {
-        report(self, fmi2Error, LOG_ERROR, "%s: a step to t = %.15g is impossible from the current time %.15g.",
-               component.name, end, run->time);
-        return false;
-    }
-    if (run->sample_time > 0 && RESOLUTION * fabs(end) > COARSE * run->sample_time) {
+    double off = clock_error(clock, t, h);
+    if (off != 0) {
         report(self, fmi2Error, LOG_ERROR,
-               "%s: at t = %.15g times are exact to %.2g s only, too coarse for the sample time %.10g.", component.name,
-               end, RESOLUTION * fabs(end), run->sample_time);
+               "%s: step from t = %.15g, but the current time is %.15g (%.15g by the count of steps): off by %.3g steps "
+               "of %.10g.",
+               name, t, clock->label, clock_time(clock), off, h);
+        return false;
+    }
+    double rounding = RESOLUTION * fabs(t + h);
+    if (component.samples_inputs && ts > 0 && h > ts * (1 + SNAP) + rounding) {
+        report(self, fmi2Error, LOG_ERROR, "%s: step size h = %.10g exceeds the sample time %.10g.", name, h, ts);
+        return false;
+    }
+    bool blurs_ticks = ts > 0 && rounding > COARSE * ts;
+    if (blurs_ticks || rounding > h / 2) {
+        report(self, fmi2Error, LOG_ERROR, "%s: at t = %.15g times are exact to %.2g s only, too coarse for the %s %.10g.",
+               name, t + h, rounding, blurs_ticks ? "sample time" : "step size", blurs_ticks ? ts : h);
+        return false;
+    }
+    if (!clock_after(clock, t, h, after)) {
+        report(self, fmi2Error, LOG_ERROR, "%s: a step to t = %.15g is impossible from the current time %.15g.", name,
+               t + h, clock_time(clock));
+        return false;
+    }
+    if (self->run.stop_time_defined) {
+        double end = fmin(t + h, clock_time(after));
+        if (end > stop + fmax(fmax(SNAP * fmin(ts, 1), 1 / NANOSECONDS), RESOLUTION * fabs(stop))) {
+            report(self, fmi2Error, LOG_ERROR, "%s: the step from t = %.15g to %.15g goes beyond the stop time %.15g.",
+                   name, t, end, stop);
+            return false;
+        }
+    }
+    double needed = h / component.max_step + (double)(clock_ticks(after) - clock_ticks(clock));
+    if (needed > MOST_SUBSTEPS) {
+        report(self, fmi2Error, LOG_ERROR,
+               "%s: a step of h = %.10g takes %.3g substeps (max_step = %.10g, sample time %.10g), and no more than "
+               "%.0f are taken at once: nothing could interrupt them.",
+               name, h, needed, component.max_step, ts, MOST_SUBSTEPS);
         return false;
     }
     return true;
@@ -142,55 +144,59 @@ static void warn_of_counters(Instance *self)
 {
     for (size_t i = 0; i < component.n_counters; i++) {
         double count = self->y[component.counters[i]];
+        if (count == self->counts[i])
+            continue;
         if (count > self->counts[i])
             report(self, fmi2Warning, LOG_WARNING, "%s: %s rose to %.10g at t = %.15g.", component.name,
                    component.variables[component.n_inputs + component.n_parameters + component.counters[i]].name, count,
-                   self->run.time);
+                   clock_time(&self->run.clock));
         self->counts[i] = count;
     }
 }
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
-                      fmi2Boolean noSetFMUStatePriorToCurrentPoint)
+/* Says why the state after the step is none. */
+static void report_state(Instance *self, const double *z, double t, double end)
 {
-    Instance *self = c;
-    (void)noSetFMUStatePriorToCurrentPoint;
+    double value;
+    const char *input = bad_input(self, &value);
+    if (input)
+        report(self, fmi2Error, LOG_ERROR,
+               "%s: the state is not finite after the step from t = %.15g to %.15g, where the input %s is %g.",
+               component.name, t, end, input, value);
+    else if (has_failed(z))
+        report_failure(self, z, "");
+    else if (component.max_step < DBL_MAX)
+        report(self, fmi2Error, LOG_ERROR,
+               "%s: the state is not finite after the step from t = %.15g to %.15g; a model that is stiff there wants a "
+               "smaller max_step than %.10g.",
+               component.name, t, end, component.max_step);
+    else
+        report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.",
+               component.name, t, end);
+}
+
+fmi2Status do_step(Instance *self, double t, double h)
+{
     if (!allowed(self, "fmi2DoStep", STEP_COMPLETE))
         return fmi2Error;
     Run *run = &self->run;
-    double end = snap(run, currentCommunicationPoint + communicationStepSize);
-    if (!legal_step(self, currentCommunicationPoint, communicationStepSize, end))
+    Clock after;
+    if (!legal_step(self, t, h, &after))
         return fmi2Error;
     Pair pair = {self->z, self->scratch[0]};
-    int64_t ticks = run->ticks;
-    if (!advance(self, &pair, end, &ticks))
+    if (!advance(self, &pair, &after))
         return fmi2Error;
-    bool failed = has_failed(pair.z);
-    if (failed || !all_finite(pair.z, component.n_states)) {
-        size_t i = 0;
-        while (i < component.n_inputs && isfinite(self->u[i]))
-            i++;
-        if (i < component.n_inputs)
-            report(self, fmi2Error, LOG_ERROR,
-                   "%s: the state is not finite after the step from t = %.15g to %.15g, where the input %s is %g.",
-                   component.name, currentCommunicationPoint, end, component.variables[i].name, self->u[i]);
-        else if (failed)
-            report_failure(self, pair.z, "");
-        else
-            report(self, fmi2Error, LOG_ERROR, "%s: the state is not finite after the step from t = %.15g to %.15g.",
-                   component.name, currentCommunicationPoint, end);
+    double end = clock_time(&after);
+    if (has_failed(pair.z) || !all_finite(pair.z, component.n_states)) {
+        report_state(self, pair.z, t, end);
         return fmi2Error;
     }
-    /* The counters are looked at in every step; otherwise the outputs wait until somebody asks. */
-    if (component.n_counters == 0)
-        self->stale_outputs = true;
-    else if (!evaluate_outputs(self, pair.z, end))
+    if (!evaluate_outputs(self, pair.z, end))
         return fmi2Error;
     self->scratch[0] = self->z; /* commit: pair.z is one of the scratch vectors, pair.other the other */
     self->scratch[1] = pair.other;
     self->z = pair.z;
-    run->time = end;
-    run->ticks = ticks;
+    run->clock = after;
     if (run->extrapolates) {
         memset(self->du, 0, component.n_inputs * sizeof *self->du);
         run->extrapolates = 0;

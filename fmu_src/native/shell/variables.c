@@ -3,7 +3,7 @@
 #include <limits.h>
 #include <math.h>
 
-#include "instance.h"
+#include "border.h"
 
 #define N_VARIABLES (component.n_inputs + component.n_parameters + component.n_outputs + component.n_constants)
 #define SETTABLE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE)
@@ -60,19 +60,31 @@ static bool can_get(Instance *self, const char *function, const fmi2ValueReferen
     return !outputs || refresh_outputs(self);
 }
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
+/* An output that is not finite because an input that feeds it is not: the importer gets it, but not silently. */
+static fmi2Status warn_of_value(Instance *self, fmi2ValueReference reference)
 {
-    Instance *self = c;
+    double value = 0;
+    const char *input = bad_input(self, &value);
+    report(self, fmi2Warning, LOG_WARNING, "%s: the output %s is %g at t = %.15g, where the input %s is %g.",
+           component.name, component.variables[reference].name, shown(self->values[reference]),
+           clock_time(&self->run.clock), input ? input : "(none)", value);
+    return fmi2Warning;
+}
+
+fmi2Status get_real(Instance *self, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
+{
     if (!can_get(self, "fmi2GetReal", vr, nvr, value, REAL))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)
         value[i] = self->values[vr[i]];
+    for (size_t i = 0; i < nvr && !self->finite_outputs; i++)
+        if (component.variables[vr[i]].role == OUTPUT && !isfinite(value[i]))
+            return warn_of_value(self, vr[i]);
     return fmi2OK;
 }
 
-fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
+fmi2Status get_integer(Instance *self, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
 {
-    Instance *self = c;
     if (!can_get(self, "fmi2GetInteger", vr, nvr, value, INTEGER))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
@@ -111,7 +123,12 @@ static bool can_set(Instance *self, const char *function, fmi2ValueReference ref
                variable->role == OUTPUT ? "an output" : "a constant", value);
         return false;
     }
-    if (variable->min <= value && value <= variable->max)
+    if (isinf(value)) {
+        report(self, fmi2Error, LOG_ERROR, "%s: %s = %g must be finite.", function, variable->name, value);
+        return false;
+    }
+    /* what is no number is found without an arithmetic comparison, which would trap in a host that traps */
+    if (all_finite(&value, 1) && variable->min <= value && value <= variable->max)
         return true;
     report(self, fmi2Error, LOG_ERROR, "%s: %s = %.10g lies outside [%.10g, %.10g].", function, variable->name, value,
            variable->min, variable->max);
@@ -154,9 +171,8 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
+fmi2Status get_boolean(Instance *self, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
 {
-    Instance *self = c;
     if (!can_get(self, "fmi2GetBoolean", vr, nvr, value, BOOLEAN))
         return fmi2Error;
     for (size_t i = 0; i < nvr; i++)

@@ -51,10 +51,13 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *va
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value)
 {
     Instance *self = c;
-    if (!self || s != fmi2LastSuccessfulTime || !value)
+    if (!self || s != fmi2LastSuccessfulTime)
         return no_such_status(self, "fmi2GetRealStatus");
-    *value = self->last_time;
-    return fmi2OK;
+    if (!value)
+        return refuse(self, "fmi2GetRealStatus", "the place for the value is a null pointer");
+    fmi2ValueReference reference = TIME;
+    self->refused = false;
+    return answer(self, self->pythonfmu.fmi2GetReal(self->slave, &reference, 1, value));
 }
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value)
@@ -66,8 +69,10 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Int
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value)
 {
     Instance *self = c;
-    if (!self || s != fmi2Terminated || !value)
+    if (!self || s != fmi2Terminated)
         return no_such_status(self, "fmi2GetBooleanStatus");
+    if (!value)
+        return refuse(self, "fmi2GetBooleanStatus", "the place for the value is a null pointer");
     *value = fmi2False; /* the component itself never asks to end a simulation */
     return fmi2OK;
 }

@@ -114,8 +114,9 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nC
             return fmi2Error;                                                                                          \
         if (nvr > 0 && !(vr && value))                                                                                 \
             return refuse(self, #name, "variables are announced, but a list is a null pointer");                       \
-        self->refused = false;                                                                                         \
-        return answer(self, self->pythonfmu.name(self->slave, vr, nvr, value));                                        \
+        self->refused = self->warned = false;                                                                          \
+        fmi2Status status = answer(self, self->pythonfmu.name(self->slave, vr, nvr, value));                           \
+        return status == fmi2OK && self->warned ? fmi2Warning : status;                                                \
     }
 
 HAND_ON_ACCESS(fmi2GetReal, fmi2Real)
@@ -146,7 +147,6 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
     if (*why)
         return refuse(self, "fmi2SetupExperiment", why);
     self->is_set_up = true;
-    self->last_time = startTime;
     return self->pythonfmu.fmi2SetupExperiment(self->slave, toleranceDefined, tolerance, startTime, stopTimeDefined,
                                                stopTime);
 }
@@ -181,12 +181,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     if (!self)
         return fmi2Error;
     self->refused = false;
-    fmi2Status status = answer(self, self->pythonfmu.fmi2DoStep(self->slave, currentCommunicationPoint,
-                                                                communicationStepSize,
-                                                                noSetFMUStatePriorToCurrentPoint));
-    if (status == fmi2OK)
-        self->last_time = currentCommunicationPoint + communicationStepSize;
-    return status;
+    return answer(self, self->pythonfmu.fmi2DoStep(self->slave, currentCommunicationPoint, communicationStepSize,
+                                                   noSetFMUStatePriorToCurrentPoint));
 }
 
 /* PythonFMU has no such function: the slave takes the derivative of input k for the value of reference DERIVATIVES + k. */

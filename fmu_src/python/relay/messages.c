@@ -53,6 +53,8 @@ void from_slave(fmi2ComponentEnvironment environment, fmi2String name, fmi2Statu
     unsigned chosen = category_of(category);
     if (status >= fmi2Error)
         self->refused = true;
+    if (status == fmi2Warning)
+        self->warned = true;
     report(self, status, chosen == 0 || chosen == LOG_ALL ? LOG_ERROR : (Category)chosen, message);
 }
 

@@ -35,13 +35,13 @@ typedef struct {
     void *library;
     fmi2Component slave;
     unsigned log_categories;
-    bool refused;            /* the slave logged an error during this call */
+    bool refused, warned;    /* the slave logged an error, a warning during this call */
     bool is_set_up, entered; /* fmi2SetupExperiment and fmi2EnterInitializationMode were called */
-    double last_time;        /* the end of the last step */
     char name[256];
 } Instance;
 
 #define DERIVATIVES 0x40000000u /* value references from here on: derivatives of the inputs, between relay and slave */
+#define TIME 0x50000000u        /* this one: the slave's time */
 
 /* messages.c */
 unsigned category_of(const char *name);

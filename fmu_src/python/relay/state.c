@@ -5,7 +5,7 @@
 
 #include "relay.h"
 
-#define MAGIC UINT64_C(0x313059504d46534f) /* "OSFMPY01" on a little-endian machine */
+#define MAGIC UINT64_C(0x323059504d46534f) /* "OSFMPY02" on a little-endian machine */
 
 typedef struct {
     uint64_t magic, guid, bytes, checksum; /* bytes: of what follows */

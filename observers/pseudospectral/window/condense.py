@@ -11,7 +11,9 @@ and the sum over the segments of [r + M_0, M_s]' W [r + M_0, M_s] holds normal m
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -76,10 +78,24 @@ def symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
     return tuple(kind.sym(name, count) for name, count in zip(("V", "Z", "s", "data", "p", "y"), counts, strict=True))
 
 
-def linearise(
-    problem: LeastSquares, V: Any, Z: Any, s: Any, data: Any, p: Any, y: Any, w: Any, active: Any
-) -> Linearised:
-    """The problem at (V, Z, s) with weights w of the measured points; segments with `active` 0 stay as they are and weigh nothing."""
+@dataclass(frozen=True)
+class _Along:
+    """A segment's trajectory, and what is known of it, unpacked: what its rates and outputs are functions of."""
+
+    xs: Any
+    V: Any
+    Z: Any
+    theta: Any
+    known: SimpleNamespace
+    p: Any
+
+
+def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str, Any]) -> Linearised:
+    """The problem at (V, Z, s), with what `gauss_newton.Solve.given` names: data, p, y and the weights w of the measured points.
+
+    Of several segments, those with `active` 0 stay as they are and weigh nothing.
+    """
+    data, p, y, w = (given[name] for name in ("data", "p", "y", "w"))
     kind, n = type(V), 1 + problem.nx + problem.n_theta
     xs, theta = s[: problem.nx], s[problem.nx :]
     RG = _at_start(problem, kind)
@@ -89,7 +105,7 @@ def linearise(
     later = _if_active(_segment(problem, 1, kind)) if problem.count > 1 else None
     for j, (v, z) in enumerate(_segments(problem, V, Z)):
         arguments = [xs, RG, v, z, theta, data[problem.data_of(j)], p, y[problem.measured(j)], w[problem.measured(j)]]
-        found = first(*arguments) if later is None or j == 0 else later(active[j], *arguments)
+        found = first(*arguments) if later is None or j == 0 else later(given["active"][j], *arguments)
         xs, RG = found[0], found[1]
         normal = normal + found[2]
         for name, value in zip(parts, found[3:], strict=True):
@@ -106,7 +122,7 @@ def first_sample(problem: LeastSquares) -> ca.Function:
     v, z = _segments(problem, V, Z)[0]
     xs, theta, RG = s[: problem.nx], s[problem.nx :], _at_start(problem, kind)
     known = problem.data(0).unpack(data[problem.data_of(0)])
-    sol, _ = _condense(problem, kind, xs, RG, v, z, theta, known, p)
+    sol, _ = _condense(problem, kind, _Along(xs, v, z, theta, known, p), RG)
     times = np.array([problem.segment.sample_time])
     Ph, Ps = problem.segment.at(times)
     Xi = problem.segment.forced(times)
@@ -136,7 +152,7 @@ def _if_active(function: ca.Function) -> ca.Function:
 def _residual(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     """residual(xs, V, Z, theta, data, p, y) -> h - y at the points of a first (j = 0) or later segment."""
     xs, _, V, Z, theta, data, p, y, _ = _segment_symbols(problem, j, kind)
-    rows = _measured(problem, j, xs, None, V, Z, theta, problem.data(j).unpack(data), p, y, None)
+    rows = _measured(problem, j, _Along(xs, V, Z, theta, problem.data(j).unpack(data), p), y)
     return ca.Function(f"residual_{j}", [xs, V, Z, theta, data, p, y], [ca.vertcat(*[r for r, _ in rows])])
 
 
@@ -150,9 +166,10 @@ def _segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     xs, RG, V, Z, theta, data, p, y, w = arguments
     known = problem.data(j).unpack(data)
     s, n = problem.segment, RG.shape[1]
-    sol, Z_new = _condense(problem, kind, xs, RG, V, Z, theta, known, p)
+    at = _Along(xs, V, Z, theta, known, p)
+    sol, Z_new = _condense(problem, kind, at, RG)
     normal, start = kind(ca.DM.zeros(n, n)), 0
-    rows = _measured(problem, j, xs, RG, V, Z, theta, known, p, y, sol)
+    rows = _measured(problem, j, at, y, (RG, sol))
     for r, M in rows:
         normal = normal + groups.normal(M.shape[0], n)(r, M, w[start : start + M.shape[0]])
         start += M.shape[0]
@@ -188,13 +205,11 @@ def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:
     return [kind.sym(name, *shape) for name, shape in shapes.items()]
 
 
-def _condense(
-    problem: LeastSquares, kind: Any, xs: Any, RG: Any, V: Any, Z: Any, theta: Any, known: Any, p: Any
-) -> tuple[list[Any], Any]:
+def _condense(problem: LeastSquares, kind: Any, at: _Along, RG: Any) -> tuple[list[Any], Any]:
     """sol, d V / d [1; s], in groups of rows; and the algebraic variables at the nodes."""
     rates, s = problem.rates, problem.segment
     if rates.n == 0:
-        return [], Z
+        return [], at.Z
     PhQ, PsQ = s.at(s.node_times[1:], s.split.states)
     sizes = [s.order] if kind is ca.SX else tiles.sizes(s.order, max(1, tiles.TILE // rates.n))
     nq, nv, ne, nz = rates.n_states, rates.n, rates.n_known, rates.n_algebraic
@@ -209,9 +224,10 @@ def _condense(
 
     for size in sizes:
         q = slice(first * nq, (first + size) * nq)
-        xq = _affine(kind, PhQ[q], xs, PsQ[q], V, rows(known.forced, size, nq))
+        xq = _affine(kind, PhQ[q], at.xs, PsQ[q], at.V, rows(at.known.forced, size, nq))
         moved = ca.mtimes(kind(ca.DM(PhQ[q])), RG)
-        arguments = [xq, rows(known.known, size, ne), p, theta, rows(Z, size, nz), rows(V, size, nv), moved]
+        known = rows(at.known.known, size, ne)
+        arguments = [xq, known, at.p, at.theta, rows(at.Z, size, nz), rows(at.V, size, nv), moved]
         slope, right, z = collocated[size](*arguments)
         row, column = [], 0
         for other in sizes:
@@ -226,42 +242,32 @@ def _condense(
 
 
 def _measured(
-    problem: LeastSquares,
-    j: int,
-    xs: Any,
-    RG: Any,
-    V: Any,
-    Z: Any,
-    theta: Any,
-    known: Any,
-    p: Any,
-    y: Any,
-    sol: list[Any] | None,
+    problem: LeastSquares, j: int, at: _Along, y: Any, by: tuple[Any, list[Any]] | None = None
 ) -> list[tuple[Any, Any]]:
-    """(r, M) by groups of measured points: residual h - y and, where `sol` is given, its derivative with respect to [1; s]."""
-    rest, ny, points, kind = problem.output_rest, problem.ny, problem.points_of(j), type(xs)
+    """(r, M) by groups of measured points: residual h - y and, where `by` = (RG, sol) is given, its derivative with respect to [1; s]."""
+    rest, ny, points, kind = problem.output_rest, problem.ny, problem.points_of(j), type(at.xs)
     m, s = len(points), problem.segment
     Ph, Ps = s.at(points)
     C = np.kron(np.eye(m), problem.output.A)
     CPh, CPs = product(C, Ph), product(C, Ps)
     PhH, PsH = s.at(points, problem.output.states)
     nh, ne, nz = rest.n_states, rest.n_known, rest.n_algebraic
-    z = ca.mtimes(kind(ca.DM(np.kron(s.from_nodes(points), np.eye(nz)))), Z) if nz else kind(0, 1)
+    z = ca.mtimes(kind(ca.DM(np.kron(s.from_nodes(points), np.eye(nz)))), at.Z) if nz else kind(0, 1)
     sizes = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
     observed = {size: groups.observed(rest, size) for size in set(sizes)} if rest.n else {}
     out, first = [], 0
     for size in sizes:
         rows, h = slice(first * ny, (first + size) * ny), slice(first * nh, (first + size) * nh)
-        r = _affine(kind, CPh[rows], xs, CPs[rows], V, known.offset[rows]) - y[rows]
-        M = _sensitivity(kind, CPh[rows], CPs[rows], RG, sol) if sol is not None else None
+        r = _affine(kind, CPh[rows], at.xs, CPs[rows], at.V, at.known.offset[rows]) - y[rows]
+        M = _sensitivity(kind, CPh[rows], CPs[rows], *by) if by else None
         if rest.n:
-            xh = _affine(kind, PhH[h], xs, PsH[h], V, known.forced_output[h])
-            eh = known.known_output[first * ne : (first + size) * ne]
+            xh = _affine(kind, PhH[h], at.xs, PsH[h], at.V, at.known.forced_output[h])
+            eh = at.known.known_output[first * ne : (first + size) * ne]
             embed = ca.DM(np.kron(np.eye(size), problem.output.E))
-            value, slope, by_theta = observed[size](xh, eh, p, theta, z[first * nz : (first + size) * nz])
+            value, slope, by_theta = observed[size](xh, eh, at.p, at.theta, z[first * nz : (first + size) * nz])
             r = r + ca.mtimes(embed, value)
-            if M is not None:
-                moved = _sensitivity(kind, PhH[h], PsH[h], RG, sol or [])
+            if by:
+                moved = _sensitivity(kind, PhH[h], PsH[h], *by)
                 M = M + ca.mtimes(embed, groups.chain(rest.n, nh, size, moved.shape[1])(slope, moved))
                 if problem.n_theta:
                     M = M + ca.horzcat(kind(ca.DM.zeros(size * ny, 1 + problem.nx)), ca.mtimes(embed, by_theta))

@@ -84,7 +84,7 @@ def newton_step(solve: Solve) -> ca.Function:
     g = {name: kind.sym(name, size) for name, size in solve.given.items()}
     whole = kind.sym("length")
     length: Any = whole
-    at = condense.linearise(problem, V, Z, s, g["data"], g["p"], g["y"], g["w"], g.get("active"))
+    at = condense.linearise(problem, V, Z, s, g)
     normal = at.normal
     if solve.arrival:
         normal = normal + _prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])

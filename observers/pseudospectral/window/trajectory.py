@@ -5,7 +5,7 @@ It is held by V, the rates at the nodes, Z, the algebraic variables there, segme
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -14,6 +14,14 @@ from observers.numerics import algebraic
 from observers.numerics.equations import Equations
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 from observers.pseudospectral.window.problem import LeastSquares
+
+
+class Trajectory(NamedTuple):
+    """V, Z and s = [x0; theta] of a whole window: x0 its first state, theta the unknown parameters."""
+
+    V: Any
+    Z: Any
+    s: Any
 
 
 def flat(problem: LeastSquares) -> ca.Function:

@@ -102,6 +102,15 @@ def test_every_output_is_recorded_with_its_kind_unit_and_items(observed: System)
         result["plant.x.x3"]
 
 
+def test_the_time_is_a_column_as_in_the_file(built: Build, tmp_path: Path) -> None:
+    result = run(System("alone", {"plant": Element(built("duffing"))}, stop=1.0, step=0.1))
+    write_csv(result, tmp_path / "results.csv")
+    np.testing.assert_array_equal(result["time"], result.time)
+    np.testing.assert_array_equal(result["time"], read_csv(tmp_path / "results.csv")["time"])
+    with pytest.raises(KeyError, match="no column 'tim'; did you mean 'time'"):
+        result["tim"]
+
+
 def test_a_direct_output_follows_its_input_within_the_instant(built: Build, more: dict[str, Path]) -> None:
     elements = {
         "second": Element(more["gain"]),

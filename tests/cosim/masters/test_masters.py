@@ -38,11 +38,11 @@ DELAYED = ("closed_loop_duffing_controller", "closed_loop_motor_controller")
 @pytest.mark.usefixtures("other_masters")
 @pytest.mark.parametrize("name", [name for name in SYSTEMS if name not in DELAYED])
 def test_every_system_without_direct_feedthrough_gives_the_same_numbers_in_every_tool(
-    name: str, catalogue: Path
+    name: str, catalogue_system: Build
 ) -> None:
-    recordings = record_all(catalogue / "systems" / f"{name}.ssp", MASTERS)
+    recordings = record_all(catalogue_system(name), MASTERS)
     reference = recordings["fmpy"]
-    kinds = run(catalogue / "systems" / f"{name}.ssp").kinds
+    kinds = run(catalogue_system(name)).kinds
     for tool in OTHERS:
         found = differences(reference, recordings[tool])
         assert largest(found) <= LIMIT, found
@@ -170,9 +170,9 @@ def delayed_loop(delay: int) -> np.ndarray:
 @pytest.mark.usefixtures("other_masters")
 @pytest.mark.parametrize("name", DELAYED)
 def test_a_loop_through_a_controller_fmu_is_one_step_late_in_ecos_and_libcosim_and_nothing_else(
-    name: str, catalogue: Path
+    name: str, catalogue_system: Build
 ) -> None:
-    recordings = record_all(catalogue / "systems" / f"{name}.ssp", MASTERS)
+    recordings = record_all(catalogue_system(name), MASTERS)
     late = read_then_set(name)
     in_time = recordings["fmpy"]["plant.x.x1"]
     assert np.abs(in_time - late["plant.x.x1"]).max() > 1e-4 * np.abs(in_time).max()
@@ -213,14 +213,14 @@ def read_then_set(name: str) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", ["gong_example_2", "gong_example_2_ukf", "james_baras_5_1", "nikoukhah_motor"])
 def test_an_observer_driven_by_fmpy_alone_gives_the_masters_numbers(
-    name: str, example: Callable, catalogue: Path
+    name: str, example: Callable, catalogue_fmu: Build
 ) -> None:
     result, recipe = example(name), SYSTEMS[name]
     ends = [(end.partition(".")[2], start) for start, end in recipe.connections if end.startswith("observer.")]
     signals = np.rec.fromarrays([result.time, *(result[s] for _, s in ends)], names=["time", *(e for e, _ in ends)])
     outputs = [column for column in result.names if column.startswith("observer.")]
     found = fmpy.simulate_fmu(
-        str(catalogue / "fmus" / f"{recipe.fmus['observer']}.fmu"),
+        str(catalogue_fmu(recipe.fmus["observer"])),
         stop_time=result.time[-1],
         step_size=recipe.step,
         output_interval=recipe.step,
@@ -238,11 +238,11 @@ def test_an_observer_driven_by_fmpy_alone_gives_the_masters_numbers(
 
 @pytest.mark.usefixtures("other_masters")
 @pytest.mark.parametrize("package", ["ecospy", "libcosimpy", "fmpy"])
-def test_the_documented_commands_find_theta(package: str, catalogue: Path, tmp_path: Path) -> None:
+def test_the_documented_commands_find_theta(package: str, catalogue_system: Build, tmp_path: Path) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "masters.md").read_text(encoding="utf-8"), flags=re.S)
     (code,) = (block for block in blocks if f"from {package}" in block or f"import {package}" in block)
-    for folder in ("fmus", "systems"):
-        (tmp_path / folder).symlink_to(catalogue / folder)
+    for made in catalogue_system("gong_example_2").parent.parent.iterdir():
+        (tmp_path / made.name).symlink_to(made)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -152,6 +153,31 @@ def test_parameters_may_come_from_ssv_files_and_the_systems_win(file: Path, tmp_
     assert read.elements["twin"].parameters == {"start.x1": 0.75}
     assert read.elements["plant"].parameters == {"start.x1": 0.1, "sensor.seed": 3}
     assert resolve(read).parameters["observer"]["tuning.mode"] == 1
+
+
+def test_a_file_is_written_into_a_folder_that_is_made(system: System, file: Path, tmp_path: Path) -> None:
+    deep = tmp_path / "new" / "deeper" / "two_plants.ssp"
+    write_ssp(system, deep)
+    assert deep.read_bytes() == file.read_bytes()
+    assert deep.stat().st_mode & 0o777 == 0o644
+
+
+def test_a_file_that_cannot_be_finished_leaves_what_was_there(
+    system: System, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = file.read_bytes()
+    write = zipfile.ZipFile.writestr
+
+    def full(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, content: bytes) -> None:
+        if entry.filename.endswith(".fmu"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(archive, entry, content)
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_ssp(replace(system, name="another"), file)
+    assert file.read_bytes() == before
+    assert [path.name for path in file.parent.iterdir()] == [file.name]
 
 
 def test_a_missing_file_and_a_file_that_is_no_zip_are_named(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 from fmpy.validation import validate_fmu
 from lxml import etree
 
-from conftest import COMPONENTS
+from components import COMPONENTS
 from fmu_src import ExportError, export
 from fmu_src.description.model_description import describe
 from fmu_src.description.units import parse

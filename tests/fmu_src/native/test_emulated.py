@@ -6,7 +6,7 @@ import os
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from build_fmus import SYSTEMS, build_all, choose
-from conftest import Slave
 from cosim.master import run
 from cosim.results import Result
 from fmu_src.compliance.files.binaries import functions
 from fmu_src.native import compiler as native
+from slave import Slave
 from tools import ARM_ROOT, QEMU, WINE, need
 
 pytestmark = pytest.mark.long  # zig compiles its C library for each platform once: a minute
@@ -126,11 +126,11 @@ def kind(fmu: Path) -> frozenset[str]:
     )
 
 
-def test_no_kind_of_plant_or_observer_is_forgotten(catalogue: Path) -> None:
+def test_no_kind_of_plant_or_observer_is_forgotten(catalogue_fmu: Callable[[str], Path]) -> None:
     found: dict[frozenset[str], str] = {}
     for system in (*KINDS, *SYSTEMS):
         for fmu in SYSTEMS[system].fmus.values():
-            found.setdefault(kind(catalogue / "fmus" / f"{fmu}.fmu"), system)
+            found.setdefault(kind(catalogue_fmu(fmu)), system)
     assert set(found.values()) <= set(KINDS), found
 
 

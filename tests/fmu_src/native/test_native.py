@@ -172,11 +172,6 @@ def test_c_that_casadi_cannot_write_is_refused_by_name(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_default_experiment_that_fails_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"sampled_toy.*default experiment.*h = 0.2.*sample time 0.1"):
-        export(dataclasses.replace(sampled_toy(), step_size=0.2), tmp_path)
-
-
 def test_a_compiler_error_is_an_export_error_with_its_words(tmp_path: Path) -> None:
     (tmp_path / "broken.c").write_text("int f(void) { return nothing; }\n")
     with pytest.raises(ExportError, match=r"(?s)'broken'.*linux64.*nothing"):

@@ -15,8 +15,9 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE, fmi2LastSuccessfulTime, fmi2Terminated
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from observers.instance import Instance
+from slave import Slave
 from tools import ROOT, TESTS
 
 Make = Callable[..., Slave]
@@ -100,7 +101,7 @@ def test_start_time_other_than_zero_shifts_the_sample_instants(slave: Make) -> N
         assert fmu.get("filtered.level") == face.get("filtered.level")
 
 
-@pytest.mark.parametrize("sample_time", [1e-12, 9.9e-7, math.inf])
+@pytest.mark.parametrize("sample_time", [1e-12, 9.9e-7])
 def test_an_impossible_sample_time_is_refused_by_both_faces(slave: Make, sample_time: float) -> None:
     fmu = slave("duffing")
     fmu.set("sensor.sample_time", sample_time)
@@ -318,7 +319,7 @@ def test_an_input_that_makes_the_state_not_finite_is_named_by_both_faces(slave: 
 
 def test_start_values_without_a_finite_state_are_refused(slave: Make) -> None:
     fmu = slave("growing_toy")
-    fmu.set("start.z", math.inf)
+    fmu.set("start.z", 1e308)
     fmu.fmu.setupExperiment()
     fmu.fmu.enterInitializationMode()
     assert "no finite state" in fmu.refuses(fmu.fmu.exitInitializationMode)
@@ -370,7 +371,7 @@ def test_instantiation_is_refused_aloud_even_with_logging_off(
 ) -> None:
     seen: list[str] = []
     real = fmi2CallbackLoggerTYPE
-    monkeypatch.setattr("conftest.fmi2CallbackLoggerTYPE", lambda _: real(lambda *call: seen.append(call[4].decode())))
+    monkeypatch.setattr("slave.fmi2CallbackLoggerTYPE", lambda _: real(lambda *call: seen.append(call[4].decode())))
     with pytest.raises(Exception, match="instantiate"):
         Slave(unpacked("sampled_toy"), logging=False, **change)
     assert len(seen) == 1
@@ -471,7 +472,7 @@ RESUME = """
 import sys
 sys.path[:0] = {paths!r}
 from pathlib import Path
-from conftest import Slave
+from slave import Slave
 from test_shell import CASES, grid
 name = {name!r}
 fmu = Slave(Path({folder!r}))
@@ -515,3 +516,65 @@ def test_eight_instances_in_eight_threads_give_the_sequential_results(slave: Mak
     with ThreadPoolExecutor(8) as pool:
         assert list(pool.map(one, instances, range(8))) == sequential
     assert sequential[0] != sequential[1]
+
+
+def test_infinite_parameters_are_refused_by_both_faces(slave: Make) -> None:
+    fmu = slave("sampled_toy")
+    assert "kick_time = inf must be finite" in fmu.refuses(lambda: fmu.set("kick_time", math.inf))
+    with pytest.raises(ValueError, match="kick_time = -inf must be finite"):
+        Instance(COMPONENTS["sampled_toy"](), {"kick_time": -math.inf})
+
+
+def test_an_output_that_is_not_finite_is_no_silent_number(slave: Make) -> None:
+    """From an input that is not finite it is a warning; from finite ones an error."""
+    fmu = slave("feedthrough_toy").initialize()
+    reference = [fmu.variables["force"].valueReference]
+    fmu.set("position", math.nan)
+    fmu.messages.clear()
+    assert math.isnan(fmu.fmu.getReal(reference)[0])  # fmpy goes on after fmi2Warning
+    words = "feedthrough_toy: the output force is nan at t = 0, where the input position is nan."
+    assert fmu.messages == [(1, "logStatusWarning", words)]
+    fmu.step(0.0, 0.1)  # the motion itself has nothing to do with it
+    fmu.set("position", 1e300)
+    fmu.set("gain", 1e300)
+    words = "the output force is -inf at t = 0.1"
+    assert words in fmu.refuses(lambda: fmu.get("force"))
+    before = fmu.state()
+    assert "the output force is -inf at t = 0.2" in fmu.refuses(lambda: fmu.step(0.1, 0.1))
+    assert fmu.state() == before
+    face = Instance(COMPONENTS["feedthrough_toy"](), {"gain": 1e300}, inputs={"position": 1e300})
+    with pytest.raises(ValueError, match=r"the output force is -inf at t = 0\.1"):
+        face.step(0.0, 0.1)
+    assert face.time == 0
+    fmu.set("gain", 1.0)
+    fmu.step(0.1, 0.1)
+
+
+def test_a_time_too_large_for_the_step_is_refused(slave: Make) -> None:
+    fmu, face = slave("duffing").initialize(t0=1e15), Instance(COMPONENTS["duffing"](), t0=1e15)
+    words = "times are exact to 0.89 s only, too coarse for the step size 0.1"
+    assert words in fmu.refuses(lambda: fmu.step(1e15, 0.1))
+    with pytest.raises(ValueError, match=words):
+        face.step(1e15, 0.1)
+
+
+@pytest.mark.parametrize(("start", "h"), [({}, 1e5), ({"sensor.sample_time": 1e-6}, 2.0), ({}, 1e300)])
+def test_a_step_of_too_many_substeps_is_refused(slave: Make, start: dict[str, float], h: float) -> None:
+    fmu, face = slave("duffing").initialize(start), Instance(COMPONENTS["duffing"](), start)
+    message = fmu.refuses(lambda: fmu.step(0.0, h))
+    assert h == 1e300 or ("max_step = " in message and "no more than 1000000" in message)
+    with pytest.raises(ValueError) as refused:
+        face.step(0.0, h)
+    assert str(refused.value) + "." == message
+    fmu.step(0.0, 0.1)
+
+
+def test_null_pointers_of_status_queries_are_named(slave: Make) -> None:
+    fmu = slave("sampled_toy").initialize()
+    library, handle = fmu.fmu.dll, ctypes.c_void_p(fmu.fmu.component)
+    for function, kind in (("fmi2GetRealStatus", fmi2LastSuccessfulTime), ("fmi2GetBooleanStatus", fmi2Terminated)):
+        fmu.messages.clear()
+        assert getattr(library, function)(handle, kind, None) == 3
+        assert [text for _, _, text in fmu.messages] == [f"{function}: the place for the value is a null pointer."]
+    for function in ("fmi2GetStatus", "fmi2GetIntegerStatus", "fmi2GetStringStatus"):
+        assert getattr(library, function)(handle, 0, None) == 2

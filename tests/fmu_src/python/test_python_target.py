@@ -16,19 +16,22 @@ import pytest
 from fmpy.validation import validate_fmu
 from lxml import etree
 from scipy.integrate import solve_ivp
-from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
-from test_shell import CASES, grid
 
 from build_fmus import SYSTEMS, build_all, choose
-from conftest import COMPONENTS, Slave
-from cosim.master import run as master
+from components import COMPONENTS
+from conftest import once
+from cosim.master import run
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.native.compiler import cache_folder, compile_library
+from fmu_src.python import target
 from fmu_src.python.target import CAPABILITIES
 from observers.instance import Instance
 from observers.model import Model, Variable
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from slave import Slave
+from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
+from test_shell import CASES, grid
 from tools import ROOT
 
 # A PythonFMU's memory is Python's, as its model description says: the importer's callbacks serve nothing.
@@ -38,28 +41,23 @@ Path_of = Callable[[str], Path]
 
 
 @pytest.fixture(scope="session")
-def python_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path_of:
+def python_fmus(shared: Path) -> Path_of:
     """The path of the PythonFMU called `name`, one of COMPONENTS, built at the first call."""
-    folder = tmp_path_factory.mktemp("python")
-    made: dict[str, Path] = {}
 
     def make(name: str) -> Path:
-        if name not in made:
-            made[name] = export(COMPONENTS[name](), folder, target="python")
-        return made[name]
+        folder = once(shared / "python" / name, lambda folder: export(COMPONENTS[name](), folder, target="python"))
+        return next(folder.glob("*.fmu"))
 
     return make
 
 
 @pytest.fixture(scope="session")
-def unpacked(python_fmus: Path_of, tmp_path_factory: pytest.TempPathFactory) -> Path_of:
+def unpacked(python_fmus: Path_of, shared: Path) -> Path_of:
     """The folder with the contents of the PythonFMU called `name`."""
-    made: dict[str, Path] = {}
 
     def unpack(name: str) -> Path:
-        if name not in made:
-            made[name] = Path(fmpy.extract(str(python_fmus(name)), str(tmp_path_factory.mktemp(name))))
-        return made[name]
+        fmu = python_fmus(name)
+        return once(shared / "python_unpacked" / name, lambda folder: fmpy.extract(str(fmu), str(folder)))
 
     return unpack
 
@@ -241,7 +239,21 @@ def test_unknown_targets_and_platforms_are_named(tmp_path: Path) -> None:
         export(component, tmp_path, target="java")
     with pytest.raises(ExportError, match="PythonFMU has no library for darwin64; it has linux64, win64"):
         export(component, tmp_path, ["darwin64"], target="python")
-    export(component, tmp_path, ["all"], target="python")
+
+
+@pytest.mark.parametrize(
+    "compiled",
+    [
+        pytest.param(False, id="choice"),
+        pytest.param(True, id="compiled", marks=pytest.mark.long),  # zig compiles its C library for Windows once
+    ],
+)
+def test_all_platforms_are_those_that_pythonfmu_has_a_library_for(
+    compiled: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not compiled:
+        monkeypatch.setattr(target, "compile_library", lambda *_: b"")
+    export(plant(DUFFING), tmp_path, ["all"], target="python")
     with zipfile.ZipFile(tmp_path / "duffing.fmu") as archive:
         binaries = {name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/")}
     assert binaries == {"linux64", "win64"}
@@ -257,7 +269,7 @@ def test_the_command_line_builds_them_and_names_what_it_does_not_know(tmp_path: 
         assert "resources/component.json" in archive.namelist()
     refused = build_fmus("--target", "java")
     assert refused.returncode == 2
-    assert refused.stderr.strip().splitlines()[-1] == "target 'java' is unknown; known: native, python"
+    assert refused.stderr.strip().splitlines()[-1] == "error: target 'java' is unknown; known: native, python"
 
 
 def is_noisy(name: str) -> bool:
@@ -267,25 +279,24 @@ def is_noisy(name: str) -> bool:
 
 def largest_difference(native: Path, python: Path) -> float:
     """Of any variable at any time, relative to the variable's largest value or 1."""
-    results = [master.run(path) for path in (native, python)]
+    results = [run(path) for path in (native, python)]
     assert results[0].names == results[1].names
     scale = np.maximum(1, np.nanmax(np.abs(results[0].values), axis=0))
     return float(np.nanmax(np.abs(results[0].values - results[1].values) / scale))
 
 
 @pytest.mark.parametrize("name", ["gong_example_2", "closed_loop_motor"])
-def test_a_system_of_python_fmus_gives_the_native_numbers(name: str, catalogue: Path, tmp_path: Path) -> None:
+def test_a_system_of_python_fmus_gives_the_native_numbers(name: str, catalogue_system: Path_of, tmp_path: Path) -> None:
     build_all(choose([name]), tmp_path / "fmus", ["host"], target="python")
-    path = Path("systems") / f"{name}.ssp"
-    assert largest_difference(catalogue / path, tmp_path / path) < (1e-9 if is_noisy(name) else 1e-12)
+    python = tmp_path / "systems" / f"{name}.ssp"
+    assert largest_difference(catalogue_system(name), python) < (1e-9 if is_noisy(name) else 1e-12)
 
 
 @pytest.mark.long
-def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue: Path, tmp_path: Path) -> None:
+def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue_system: Path_of, tmp_path: Path) -> None:
     build_all(choose([]), tmp_path / "fmus", ["host"], target="python")
     differences = {
-        name: largest_difference(catalogue / "systems" / f"{name}.ssp", tmp_path / "systems" / f"{name}.ssp")
-        for name in SYSTEMS
+        name: largest_difference(catalogue_system(name), tmp_path / "systems" / f"{name}.ssp") for name in SYSTEMS
     }
     limits = {name: 1e-9 if is_noisy(name) else 1e-12 for name in SYSTEMS}
     assert {name: value for name, value in differences.items() if not value <= limits[name]} == {}

@@ -54,8 +54,9 @@ def follow(component, measured, names, stop, Ts, inputs=None, parameters=None):
     """filtered.<names> at 0, Ts, ... of an observer that sees `measured(t)`; (times, values (k x len(names)), instance)."""
     run, found = Instance(component, parameters), []
     times = np.arange(round(stop / Ts) + 1) * Ts
+    signals = [port for port in component.inputs if port.kind == "Real"]
     for t in times:
-        for port, value in zip(component.inputs, [*measured(t), *(inputs(t) if inputs else [])], strict=True):
+        for port, value in zip(signals, [*measured(t), *(inputs(t) if inputs else [])], strict=True):
             run.set(port.name, value)
         run.step(t, Ts)
         found.append([run.get(name) for name in names])

@@ -2,9 +2,7 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 
-import fmpy.validation
 import numpy as np
 import pytest
 
@@ -30,11 +28,6 @@ def example(example: Example) -> Example:
 def error(result: Result, state: str = "x3") -> np.ndarray:
     """|filtered - true| at the sample instants of a run with h = Ts: row k + 1 filters the sample of row k."""
     return np.abs(result[f"observer.filtered.{state}"][1:] - result[f"plant.x.{state}"][:-1])
-
-
-@pytest.mark.parametrize("name", [name for name in nikoukhah_1995.FMUS if name != "sine"])
-def test_fmpy_finds_nothing_wrong_with_the_fmus(catalogue: Path, name: str) -> None:
-    assert fmpy.validation.validate_fmu(str(catalogue / "fmus" / f"{name}.fmu")) == []
 
 
 def test_the_motors_hidden_state_converges_as_the_reference_does(example: Example) -> None:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from conftest import Slave
 from cosim.master import run
 from cosim.system import Element, System
 from fmu_src import export
@@ -25,6 +24,7 @@ from reference_models.double_integrator import DOUBLE_INTEGRATOR
 from reference_models.motor import MOTOR
 from reference_models.plant import plant
 from reference_models.sine import sine
+from slave import Slave
 
 P = {v.name: v.start for v in MOTOR.parameters}
 SMOOTHLY_DRIVEN = dataclasses.replace(MOTOR, input_between_samples="linear")

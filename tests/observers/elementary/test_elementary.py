@@ -283,3 +283,23 @@ def test_a_known_sign_is_enough_where_the_disturbance_rests_at_it() -> None:
         assert observer.get("estimate.v") >= 0.0
     assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 0.01
     assert observer.get("diagnostics.status") == CODE.converged
+
+
+def test_the_iteration_limit_bounds_a_sample_and_the_next_one_goes_on() -> None:
+    """What a deadline allows: fewer iterations a sample, said by the status, and over the samples the same fixed point."""
+    component = FMUS["van_der_pol_known_elementary"][0]()
+    free, bound = (
+        Instance(component, {"tuning.epsilon": 1e-9}),
+        Instance(component, {"tuning.epsilon": 1e-9, "tuning.iteration_limit": 1}),
+    )
+    truth = Instance(plant(VAN_DER_POL_KNOWN))
+    for k in range(60):
+        for run in (free, bound):
+            run.set("y", truth.get("y"))
+            run.step(0.05 * k, 0.05)
+        truth.step(0.05 * k, 0.05)
+        assert bound.get("diagnostics.iterations") <= 1
+        if k > 1:
+            assert free.get("diagnostics.iterations") > 1
+            assert bound.get("diagnostics.status") == CODE.iterating
+    assert abs(bound.get("filtered.x2") - free.get("filtered.x2")) < 1e-3

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 
-import fmpy.validation
 import numpy as np
 import pytest
 
@@ -123,11 +121,6 @@ def test_the_communication_step_does_not_change_the_estimates(example: Callable[
     for state in ("x1", "x2", "x3"):
         gap = np.abs(cut[f"observer.estimate.{state}"][::5] - whole[f"observer.estimate.{state}"])
         assert gap.max() <= 1e-7
-
-
-@pytest.mark.parametrize("name", [*OBSERVERS, "van_der_pol", "roessler", "ramp"])
-def test_fmpy_finds_nothing_wrong(catalogue: Path, name: str) -> None:
-    assert fmpy.validation.validate_fmu(str(catalogue / "fmus" / f"{name}.fmu")) == []
 
 
 def test_a_saved_state_resumes_bit_for_bit_and_nan_is_counted_and_logged(catalogue_slave: Callable) -> None:

@@ -9,9 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+import linear_models
 from observers.instance import Instance
 from observers.least_squares import least_squares
-from observers.least_squares.observer import CODE
+from observers.least_squares.steps import CODE
 from observers.model import Model, ModelError, Variable
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.duffing import DUFFING
@@ -195,3 +196,89 @@ def test_rejected_samples_weigh_nothing():
     for k in range(20):
         other.step(0.1 * k, 0.1)
         assert np.isfinite(other.z).all()
+
+
+NOISE = {"measurement_noise": {"y0": 0.1, "y1": 3.0}, "initial_std": {"x0": 0.5, "x1": 2.0, "x2": 1.0}}
+
+
+def with_two_outputs(**options):
+    return least_squares(linear_models.linear(3, 2), sample_time=0.1, **NOISE, **options)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_given_standard_deviations_an_interval_is_the_kalman_filter_without_process_noise(missing):
+    """From diag(initial_std^2) at each reset; the samples there weigh half on either side, which doubles their variance."""
+    per_interval, Ts, rng = 8, 0.1, np.random.default_rng(6)
+    C2 = rng.normal(size=(2, 3))
+    sigma, P0 = np.array([0.1, 3.0]), np.diag([0.25, 4.0, 1.0])
+    observer = Instance(with_two_outputs(T=per_interval * Ts), linear_models.entries(A, C2))
+    Phi = expm(A * Ts)
+    held = expm(Ts * np.block([[A, np.ones((3, 1))], [np.zeros((1, 4))]]))[:3, 3]
+
+    def corrected(x, P, y, weight):
+        there = np.isfinite(y)
+        H, R = C2[there], np.diag(sigma[there] ** 2) / weight
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+        return x + K @ (y[there] - H @ x), P - K @ H @ P
+
+    x, P = np.zeros(3), P0
+    for k in range(30):
+        y, u = rng.normal(size=2), rng.normal()
+        y[rng.random(2) < missing] = np.nan
+        for i in range(2):
+            observer.set(f"y{i}", 1e6 if np.isnan(y[i]) else y[i])
+            observer.set(f"measurement_valid.y{i}", float(np.isfinite(y[i])))
+        observer.set("u", u)
+        observer.step(k * Ts, Ts)
+        if k % per_interval == 0 and k:
+            x, _ = corrected(x, P, y, 0.5)
+            P = P0
+        x, P = corrected(x, P, y, 0.5 if k % per_interval == 0 else 1.0)
+        x, P = Phi @ x + held * u, Phi @ P @ Phi.T
+        np.testing.assert_allclose([observer.get(f"estimate.x{i}") for i in range(3)], x, rtol=1e-9, atol=1e-9)
+    assert observer.get("diagnostics.rejected_samples") == 0 and observer.get("diagnostics.intervals") == 3
+
+
+def test_with_initial_std_the_contraction_is_that_of_errors_in_its_units():
+    """Phi Y^-1 D^-2 for e / D, D = diag(initial_std), over one interval."""
+    Ts, count = 0.1, 5
+    C2 = np.array([[1.0, 0.0, 0.3], [0.0, 1.0, 0.0]])
+    observer = Instance(with_two_outputs(T=count * Ts), linear_models.entries(A, C2))
+    for k in range(count + 1):
+        observer.step(k * Ts, Ts)
+    D, Y = np.diag([0.5, 2.0, 1.0]), np.diag([4.0, 0.25, 1.0])
+    for i in range(count + 1):
+        w = expm(A * i * Ts).T @ C2.T
+        Y += (0.5 if i in (0, count) else 1.0) * w @ np.diag([100.0, 1 / 9]) @ w.T
+    Phi, inverse = expm(A * count * Ts), np.linalg.inv(D)
+    factor = np.linalg.norm(inverse @ Phi @ np.linalg.inv(Y) @ inverse, 2)
+    bound = np.linalg.norm(inverse @ Phi @ D, 2) * np.linalg.norm(np.linalg.inv(D @ Y @ D), 2)
+    assert factor * (1 - 1e-9) <= observer.get("diagnostics.contraction") <= factor * 1.004
+    assert bound * (1 - 1e-9) <= observer.get("diagnostics.certified_contraction") <= bound * 1.008
+
+
+def test_the_deviations_of_an_equal_gamma_and_p0_give_the_same_estimate():
+    gamma, p0, Ts, rng = 2.0, 0.7, 0.1, np.random.default_rng(0)
+    states = {f"x{i}": math.sqrt(p0) for i in range(3)}
+    by_name = {"measurement_noise": {"y": 1 / math.sqrt(gamma * Ts)}, "initial_std": states}
+    made = [
+        least_squares(linear(), sample_time=Ts, T=0.5, **tuning) for tuning in ({"gamma": gamma, "p0": p0}, by_name)
+    ]
+    runs = [Instance(component) for component in made]
+    for k, y in enumerate(rng.normal(size=20)):
+        for run in runs:
+            run.set("y", y)
+            run.step(k * Ts, Ts)
+        np.testing.assert_allclose(runs[0].outputs(), runs[1].outputs(), rtol=1e-10, atol=1e-12)
+
+
+def test_a_weight_in_both_ways_and_a_process_noise_are_refused_by_name():
+    for tuning, words in (
+        ({"gamma": 1.0, "measurement_noise": {}}, "gamma and measurement_noise say the same"),
+        ({"p0": 1.0, "initial_std": {}}, "p0 and initial_std say the same"),
+        ({"process_noise": {"x1": 0.1}}, "process_noise has no meaning here: a reset every T"),
+        ({"measurement_noise": {"x1": 0.1}}, "measurement_noise of 'x1'; known: y"),
+        ({"initial_std": {"x1": 0.0}}, "tuning.initial_std.x1"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            least_squares(CHEN_YEN, sample_time=0.01, T=0.25, **tuning)

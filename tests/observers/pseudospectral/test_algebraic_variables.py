@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -64,8 +65,10 @@ def test_example_6_is_exact_from_the_first_estimate_on_every_branch_and_says_whe
     assert re.search(r"the algebraic equations do not determine 'x3' .*smallest pivot of dg/dz", message)
 
 
-def test_example_6_as_a_system_shows_the_algebraic_variable_of_the_current_time(catalogue: Path) -> None:
-    result = run(catalogue / "systems" / "gong_example_6.ssp", stop=3.8)
+def test_example_6_as_a_system_shows_the_algebraic_variable_of_the_current_time(
+    catalogue_system: Callable[[str], Path],
+) -> None:
+    result = run(catalogue_system("gong_example_6"), stop=3.8)
     assert len(result.time) == 20
     for name, true in (("x1", "x.x1"), ("x2", "x.x2"), ("x3", "z.x3")):
         gap = np.abs(result[f"observer.estimate.{name}"] - result[f"plant.{true}"])
@@ -205,3 +208,11 @@ def test_algebraic_variables_without_effect_on_the_states_are_refused() -> None:
     )
     with pytest.raises(ModelError, match="'idle' has algebraic variables that no state's equation contains"):
         pseudospectral(model, sample_time=0.1)
+
+
+@pytest.mark.parametrize("bounds", [{"min": 0.0}, {"max": 9.0}])
+def test_bounds_of_an_algebraic_variable_are_refused_by_name_not_ignored(bounds: dict[str, float]) -> None:
+    (x3,) = RLC.algebraic
+    model = dataclasses.replace(RLC, algebraic=[dataclasses.replace(x3, **bounds)])
+    with pytest.raises(ModelError, match=r"bounds the algebraic variable 'x3' by \[.*not imposed"):
+        pseudospectral(model, sample_time=0.2, N=8, L=5)

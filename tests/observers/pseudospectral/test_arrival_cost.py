@@ -5,14 +5,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from moving_window import NONLINEAR, linear, sampled
 from observers.instance import Instance
-from observers.model import ModelError
+from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
 from observers.pseudospectral.ports import CODE
 from reference_models.duffing import DUFFING, DUFFING_KNOWN
 from reference_models.plant import plant
+from slave import Slave
 
 TS = 0.1
 NOISE = {"y1": 0.3, "y2": 0.5}
@@ -303,3 +304,23 @@ def test_the_fmus_state_holds_the_arrival_cost(slave: Callable[..., Slave]) -> N
         ends.append(fmu.outputs())
     fmu.fmu.freeFMUState(handle)
     assert ends[0] == ends[1]
+
+
+def test_with_one_state_and_no_parameter_it_is_the_kalman_filter() -> None:
+    """The smallest moving horizon there is, x' = -0.7 x."""
+    decay = Model(
+        name="decay",
+        states=[Variable("x", start=1.0)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-0.7 * x.x],
+        output=lambda x, u, p, t: [x.x],
+    )
+    deviations = {"process_noise": {"x": 0.0}, "measurement_noise": {"y": 0.2}, "initial_std": {"x": 0.5}}
+    run = Instance(pseudospectral(decay, sample_time=0.1, N=5, L=3, arrival_cost=True, **deviations))
+    m, P, phi, rng = 1.0, 0.25, np.exp(-0.07), np.random.default_rng(5)
+    for k, y in enumerate(rng.normal(size=30)):
+        run.set("y", y)
+        run.step(0.1 * k, 0.1)
+        K = P / (P + 0.04)
+        m, P = phi * (m + K * (y - m)), phi**2 * (1 - K) * P
+        assert run.get("estimate.x") == pytest.approx(m, rel=0, abs=1e-9)

@@ -26,12 +26,12 @@ LONG = dict(sample_time=0.1, N=13, L=50, segments=5, guess={"x1": 0.0, "x2": 0.0
 
 
 @pytest.fixture(scope="module")
-def ten_runs(catalogue: Path) -> Callable[[str], list[Result]]:
+def ten_runs(catalogue_system: Callable[[str], Path]) -> Callable[[str], list[Result]]:
     """The paper's Example 4 with ten seeds of the noise, by the kind of observer."""
 
     @cache
     def runs(kind: str) -> list[Result]:
-        system = catalogue / "systems" / f"gong_example_4_{kind}.ssp"
+        system = catalogue_system(f"gong_example_4_{kind}")
         return [run(system, overrides={"plant.sensor.seed": seed}) for seed in SEEDS]
 
     return runs

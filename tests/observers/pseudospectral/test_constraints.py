@@ -8,7 +8,7 @@ import pytest
 from numpy.polynomial.legendre import Legendre
 from scipy.optimize import minimize
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from moving_window import rotation
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
@@ -16,6 +16,7 @@ from observers.pseudospectral import pseudospectral
 from observers.pseudospectral.ports import CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from slave import Slave
 
 TS = 0.2
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from moving_window import NONLINEAR, coupled, linear, noisy_rows, sampled
 from observers.instance import Instance
 from observers.model import Model, Variable
@@ -17,6 +17,7 @@ from observers.pseudospectral.ports import CODE
 from observers.pseudospectral.window import problem as problem
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
+from slave import Slave
 
 GUESS = {"guess.x1": 0.0, "guess.x2": 0.0, "guess.theta": 0.1}
 FAR = {"guess.x1": 0.5, "guess.x2": 0.0, "guess.x3": 0.0, "guess.theta": 0.3, "guess.bias": 0.0}

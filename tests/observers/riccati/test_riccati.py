@@ -12,7 +12,8 @@ from linear_models import entries, kalman, linear
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.riccati import riccati
-from observers.riccati.observer import CODE
+from observers.riccati.certificates import NONE
+from observers.riccati.steps import CODE
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant
 
@@ -150,3 +151,89 @@ def test_a_state_that_no_output_sees_is_refused_by_name_unless_it_decays(rate):
     else:
         with pytest.raises(ModelError, match=r"blind.*unseen"):
             riccati(model, sample_time=0.1)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_given_standard_deviations_it_is_the_kalman_filter_of_these_with_missing_samples_too(missing):
+    n, ny, Ts = 3, 2, 0.1
+    rng = np.random.default_rng(4)
+    A, C = rng.normal(size=(n, n)) - np.eye(n), rng.normal(size=(ny, n))
+    process, sensor, first = rng.uniform(0.5, 2, n), np.array([0.1, 3.0]), rng.uniform(0.5, 2, n)
+    component = riccati(
+        linear(n, ny),
+        sample_time=Ts,
+        process_noise={f"x{i}": v for i, v in enumerate(process)},
+        measurement_noise={f"y{i}": v for i, v in enumerate(sensor)},
+        initial_std={f"x{i}": v for i, v in enumerate(first)},
+        expose=["Q"],
+    )
+    y, u = rng.normal(size=(60, ny)), rng.normal(size=60)
+    y[rng.random(y.shape) < missing] = np.nan
+    run = Instance(component, entries(A, C))
+    names = [f"estimate.x{i}" for i in range(n)]
+    names += [f"diagnostics.Q[{i},{j}]" for i in range(1, n + 1) for j in range(1, n + 1)]
+    filtered = kalman(A, C, np.diag(process), np.diag(sensor) * math.sqrt(Ts), np.diag(first**2), np.zeros(n), y, u, Ts)
+    for k, expected in enumerate(filtered):
+        for i in range(ny):
+            run.set(f"y{i}", 1e6 if np.isnan(y[k, i]) else y[k, i])
+            run.set(f"measurement_valid.y{i}", float(np.isfinite(y[k, i])))
+        run.set("u", u[k])
+        run.step(k * Ts, Ts)
+        np.testing.assert_allclose([run.get(name) for name in names], expected, rtol=1e-9, atol=1e-9)
+    assert run.get("diagnostics.rejected_samples") == 0
+
+
+def test_the_same_tuning_in_both_ways_is_refused_by_name():
+    for paper, deviation in (
+        ({"N": 1.0}, {"process_noise": {}}),
+        ({"R": 1.0}, {"measurement_noise": {}}),
+        ({"Q0": 1.0}, {"initial_std": {}}),
+    ):
+        with pytest.raises(ValueError, match=f"{next(iter(paper))} and {next(iter(deviation))} say the same thing"):
+            riccati(JAMES_BARAS_5_2, sample_time=0.01, **paper, **deviation)
+    with pytest.raises(ModelError, match="N of 'z'; known: x1, x2"):
+        riccati(JAMES_BARAS_5_2, sample_time=0.01, N={"z": 1.0})
+
+
+def test_by_name_the_papers_matrices_are_diagonals_and_a_name_that_is_absent_is_1():
+    named, listed = (riccati(JAMES_BARAS_5_2, sample_time=0.01, N=N) for N in ({"x2": 0.3}, [1.0, 0.3]))
+    assert named.parameters == listed.parameters
+
+
+def test_without_process_noise_it_runs_and_certifies_nothing():
+    component = riccati(JAMES_BARAS_5_2, sample_time=0.01, process_noise={"x1": 0.0, "x2": 0.0})
+    run = Instance(component)
+    run.step(0.0, 0.01)
+    assert run.get("diagnostics.certified") == NONE and np.isfinite(run.outputs()).all()
+
+
+def test_a_certificate_for_a_samples_deviation_is_void_at_another_sample_time():
+    component = riccati(
+        JAMES_BARAS_5_2, sample_time=0.01, N=math.sqrt(0.2), Q0=0.01, measurement_noise={"y": 30.0}, guess={"x1": 0.0}
+    )
+    for Ts, certified in ((0.01, True), (0.02, False)):
+        run = Instance(component, {"sample_time": Ts})
+        run.step(0.0, Ts)
+        assert (run.get("diagnostics.certified") != NONE) == certified
+
+
+def test_the_tunings_units_are_the_variables_and_what_fmi_cannot_say_stands_in_the_description():
+    model = Model(
+        name="moved",
+        states=[Variable("s", unit="m"), Variable("v", unit="m/s")],
+        outputs=[Variable("y", unit="m")],
+        ode=lambda x, u, p, t: [x.v, -x.s],
+        output=lambda x, u, p, t: [x.s],
+    )
+    by_name = riccati(model, sample_time=0.1, process_noise={}, measurement_noise={}, initial_std={})
+    whole = riccati(model, sample_time=0.1, N=np.eye(2), Q0=np.eye(2))
+    units = {port.name: port.unit for port in (*by_name.parameters, *whole.parameters)}
+    assert units["tuning.measurement_noise.y"] == "m" and units["tuning.initial_std.v"] == "m/s"
+    assert units["tuning.Q0[1,2]"] == "m2/s" and units["tuning.Q0[2,2]"] == "m2/s2"
+    texts = {port.name: port.description for port in (*by_name.parameters, *whole.parameters)}
+    for name, words in (
+        ("tuning.process_noise.v", "in m/s per sqrt(s)"),
+        ("tuning.N[2,1]", "in m/s per sqrt(s)"),
+        ("tuning.R.y", "in m times sqrt(s)"),
+    ):
+        assert units[name] == "" and words in texts[name]

@@ -13,7 +13,7 @@ from cosim.master import run
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.ukf import ukf
-from observers.ukf.observer import CODE
+from observers.ukf.steps import CODE
 from reference_models.duffing import DUFFING
 
 A = np.array([[0.0, 1.0], [-2.0, -0.3]])
@@ -94,8 +94,10 @@ def test_its_errors_are_as_large_as_its_covariance_says() -> None:
     assert 0.5 < np.mean(squares) < 1.6, np.mean(squares)
 
 
-def test_it_follows_the_papers_jumps_with_process_noise_and_freezes_without(catalogue: Path) -> None:
-    system = catalogue / "systems" / "gong_example_2_ukf.ssp"
+def test_it_follows_the_papers_jumps_with_process_noise_and_freezes_without(
+    catalogue_system: Callable[[str], Path],
+) -> None:
+    system = catalogue_system("gong_example_2_ukf")
     tracking = run(system)
     frozen = run(system, overrides={"observer.tuning.process_noise.theta": 0.0})
     for result, small in ((tracking, True), (frozen, False)):
@@ -107,9 +109,9 @@ def test_it_follows_the_papers_jumps_with_process_noise_and_freezes_without(cata
         assert (x1[150:200].max() < 1e-5) == small
 
 
-def test_the_python_face_and_the_fmu_agree(catalogue: Path) -> None:
+def test_the_python_face_and_the_fmu_agree(catalogue_system: Callable[[str], Path]) -> None:
     noisy = {"plant.sensor.noise_bound": 0.05, "plant.sensor.sample_time": 0.1}
-    result = run(catalogue / "systems" / "gong_example_2_ukf.ssp", overrides=noisy)
+    result = run(catalogue_system("gong_example_2_ukf"), overrides=noisy)
     o = Instance(FMUS["duffing_ukf"][0]())
     names = [port.name for port in o.component.outputs]
     for k in range(len(result.time) - 1):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from conftest import Slave
 from linear_models import LARGEST, SAMPLE_TIME, design, entries, kalman, outputs_of
+from slave import Slave
 
 
 def estimates(
@@ -119,3 +119,27 @@ def test_the_least_squares_observers_fmu_keeps_the_contraction_identity_on_every
     assert instance.get("diagnostics.intervals") == intervals
     actual, certified = (instance.get(f"diagnostics.{name}") for name in ("contraction", "certified_contraction"))
     assert np.linalg.norm(factor, 2) * (1 - 1e-9) <= actual <= certified * (1 + 1e-3)
+
+
+def test_samples_that_have_not_arrived_are_as_if_they_were_not_there_in_the_riccati_observers_fmu(
+    slave: Callable[..., Slave],
+) -> None:
+    n, Ts, rng = 2, SAMPLE_TIME, np.random.default_rng(3)
+    ny = outputs_of(n)
+    A, C = rng.normal(size=(n, n)) - np.eye(n), rng.normal(size=(ny, n))
+    y, u = rng.normal(size=(60, ny)), rng.normal(size=60)
+    arrives = rng.random(y.shape) > 0.3
+    arrives[20:25] = False
+    instance = slave(f"linear_{n}_riccati").initialize(entries(A, C))
+    found = []
+    for k in range(len(u)):
+        for i in range(ny):
+            instance.set(f"y{i}", y[k, i] if arrives[k, i] else 1e6)
+            instance.set(f"measurement_valid.y{i}", arrives[k, i])
+        instance.set("u", u[k])
+        instance.step(k * Ts, Ts)
+        found.append([instance.get(name) for name in names_of(n)])
+    there = np.where(arrives, y, np.nan)
+    expected = list(kalman(A, C, np.eye(n), np.eye(ny), np.eye(n), np.zeros(n), there, u, Ts))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    assert instance.get("diagnostics.rejected_samples") == 0

@@ -1,0 +1,170 @@
+"""What the observer by elementary problems does at a sample instant, step by step, and the state it works on."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from observers import ports
+from observers.elementary.columns import repeated
+from observers.elementary.identifiability import least_visible
+from observers.elementary.iteration import active_nodes
+from observers.elementary.ports import CODE
+from observers.model import Model
+from observers.numerics.finite import HUGE, kept
+from observers.numerics.layout import Layout
+
+
+def layout(model: Model, N: int) -> Layout:
+    """The observer's state."""
+    n, k, ny, nu = len(model.states), len(model.unknown_disturbances), len(model.outputs), len(model.inputs)
+    held = model.input_between_samples == "held"
+    return Layout(
+        x=n,  # the prediction: the estimate of the current time
+        x_filtered=n,
+        X=n * N,  # the window: states, disturbances, measurements (oldest first) and their weights (0: rejected)
+        W=k * (N - 1),
+        Y=ny * N,
+        V=ny * N,
+        means=nu * (N - 1) if held else 0,  # known inputs: means over the intervals
+        u=nu * N if not held or _sees_inputs(model) else 0,  # and values at the samples
+        input_integral=nu,
+        samples=1,  # in the window before the present one
+        changed=1,  # samples until a changed model parameter has left the window
+        model=len(model.parameters),
+        innovation=ny,
+        null=n + k,
+        status=1,
+        cost=1,
+        iterations=1,
+        change=1,
+        contraction=1,
+        visibility=1,
+        rejected=1,
+        failures=1,
+    )
+
+
+def symbols(model: Model, N: int, settings: Layout) -> SimpleNamespace:
+    """z, u, p, t, h; `state` (the layout of z), `s` and `c` (the parts of z and p); `read` (the parts of u); `w`: the disturbances now."""
+    state, k = layout(model, N), len(model.unknown_disturbances)
+    z, u, p, t, h = (
+        ca.MX.sym(*shape)
+        for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
+    )
+    s = state.unpack(z)
+    w = s.W[s.W.numel() - k :] if k else ca.MX(0, 1)
+    return SimpleNamespace(
+        z=z, u=u, p=p, t=t, h=h, state=state, s=s, c=settings.unpack(p), read=ports.read(model, u), w=w
+    )
+
+
+def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: bool) -> Any:
+    """At t_k: the sample joins the window, the iterations go on, the window's end is the estimate."""
+    s, c, eq, ny = v.s, v.c, model.equations, len(model.outputs)
+    measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.t], [ca.densify(eq.output)])
+
+    # 1. The sample joins the window; the iterations start from the last ones, moved on by one sample.
+    valid, rejected = ports.judged(v.read.y, v.read.offered)
+    innovation = ca.if_else(valid, v.read.y - measure(s.x, v.read.known, c.model, v.t), 0)
+    moved = _window(v, model, N, valid)
+    window = [moved.Y, moved.V, moved.u0, moved.u1, moved.at_samples, moved.active, v.t, c.sample_time, c.model]
+
+    # 2. The iterations, where there is something to iterate on.
+    full = s.samples >= N - 1
+    enough = full if waits else s.samples >= 1
+    due = ca.logic_and(enough, ca.sum1(valid) > 0)
+    X_new, W_new, change, contraction, iterations = iterate(
+        due, moved.X, moved.W, *window, c.tuning, c.epsilon, c.iteration_limit
+    )
+    finite = ca.sumsqr(ca.vertcat(ca.vec(X_new), ca.vec(W_new))) < HUGE
+    failed, accepted = ca.logic_and(due, ca.logic_not(finite)), ca.logic_and(due, finite)
+    X, W = ca.if_else(accepted, X_new, moved.X), ca.if_else(accepted, W_new, moved.W)
+    x = ca.if_else(accepted, X[:, N - 1], s.x)
+
+    # 3. What the window does not see, and how well it fits.
+    seen = least_visible(model, N)(X, W, *window)
+    visibility, null = (
+        ca.if_else(accepted, found, old) for found, old in zip(seen, (s.visibility, s.null), strict=True)
+    )
+    times = v.t + c.sample_time * ca.DM(range(1 - N, 1)).T
+    nominal = ca.repmat(ca.DM([o.nominal for o in model.outputs]), 1, N)
+    residual = (moved.Y - measure.map(N)(X, moved.at_samples, repeated(c.model, N), times)) / nominal
+    cost = ca.sumsqr(active_nodes(moved.active, ny) * moved.V * residual)
+
+    # 4. What is to be said of it.
+    altered = ca.logic_and(s.samples > 0, ca.sumsqr(c.model - s.model) > 0) if len(model.parameters) else 0
+    changed = ca.if_else(altered, N - 1, ca.fmax(s.changed - 1, 0))
+    status = ca.if_else(full, CODE.converged, CODE.growing_window)
+    for condition, code in (
+        (change > c.epsilon, CODE.iterating),
+        (ca.sum1(valid) < ny, CODE.sample_rejected),
+        (changed > 0, CODE.parameter_changed),
+        (visibility < c.visibility_limit, CODE.undetermined),
+        (failed, CODE.solver_failed),
+        (ca.logic_not(enough), CODE.propagated_guess),
+        (ca.sum1(valid) == 0, CODE.sample_rejected),
+    ):
+        status = ca.if_else(condition, code, status)
+    return v.state.pack(
+        {
+            "x": x,
+            "x_filtered": x,
+            "X": ca.if_else(failed, ca.repmat(s.x, N, 1), ca.vec(X)),
+            "W": ca.vec(W),
+            "Y": ca.vec(moved.Y),
+            "V": ca.vec(moved.V),
+            "means": ca.vec(moved.means) if s.means.numel() else ca.MX(0, 1),
+            "u": ca.vec(moved.at_samples) if s.u.numel() else ca.MX(0, 1),
+            "input_integral": ca.MX.zeros(len(model.inputs)),
+            "samples": ca.if_else(failed, 0, ca.fmin(s.samples + 1, N)),
+            "changed": changed,
+            "model": c.model,
+            "innovation": kept(innovation, 0),
+            "null": kept(null, s.null),
+            "status": status,
+            "cost": kept(ca.if_else(failed, s.cost, cost), s.cost),
+            "iterations": iterations,
+            "change": kept(ca.if_else(finite, change, 0), 0),
+            "contraction": kept(ca.if_else(finite, contraction, 0), 0),
+            "visibility": kept(visibility, s.visibility),
+            "rejected": s.rejected + rejected,
+            "failures": s.failures + failed,
+        }
+    )
+
+
+def _window(v: SimpleNamespace, model: Model, N: int, valid: Any) -> SimpleNamespace:
+    """The window moved on by one sample: X, W, Y, V, the inputs (`means`, `at_samples`, and `u0`, `u1` of each interval) and `active`."""
+    s, eq = v.s, model.equations
+    n, k, ny, nu = len(model.states), len(model.unknown_disturbances), len(model.outputs), len(model.inputs)
+
+    def moved_on(column: Any, rows: int, new: Any) -> Any:
+        return ca.reshape(ca.vertcat(column[rows:], new), rows, column.numel() // rows) if rows else ca.MX(0, N)
+
+    y = ca.if_else(valid, v.read.y, 0)
+    newest = ca.vertsplit(s.x)
+    for j in range(n):
+        for m in range(ny):
+            if ca.is_equal(eq.output[m], eq.x[j]):
+                newest[j] = ca.if_else(valid[m], y[m], newest[j])
+    means = moved_on(s.means, nu, s.input_integral / v.c.sample_time) if s.means.numel() else ca.MX(nu, N - 1)
+    at_samples = moved_on(s.u, nu, v.read.known) if s.u.numel() else ca.MX(nu, N)
+    held = model.input_between_samples == "held"
+    return SimpleNamespace(
+        X=moved_on(s.X, n, ca.vertcat(*newest)),
+        W=moved_on(s.W, k, v.w) if k else ca.MX(0, N - 1),
+        Y=moved_on(s.Y, ny, y),
+        V=moved_on(s.V, ny, valid),
+        means=means,
+        at_samples=at_samples,
+        u0=means if held else at_samples[:, :-1],
+        u1=means if held else at_samples[:, 1:],
+        active=N - 1 - s.samples <= ca.DM(range(N - 1)).T,
+    )
+
+
+def _sees_inputs(model: Model) -> bool:
+    return bool(model.inputs) and bool(ca.depends_on(model.equations.output, model.equations.u))

@@ -1,0 +1,206 @@
+"""The least-squares observer between samples and at a sample: Chen & Yen 1999, (8) and (11) to (15), in information form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from observers import ports
+from observers.component import Enumeration
+from observers.least_squares.information import information_update
+from observers.least_squares.weights import Weights
+from observers.linearisation import Linearisation
+from observers.model import Model
+from observers.numerics.finite import HUGE
+from observers.numerics.layout import Layout
+from observers.numerics.riccati import UNROLLED
+from observers.numerics.runge_kutta import runge_kutta
+
+STATUS = Enumeration(
+    "LeastSquaresStatus",
+    (
+        ("propagated_guess", "no sample yet: the estimate is the propagated guess"),
+        ("corrected", "the last sample corrected the estimate"),
+        (
+            "sample_rejected",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
+        ),
+        (
+            "solver_failed",
+            "a step was not finite: the estimate is the prediction without the last sample, a new interval begins",
+        ),
+    ),
+)
+CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The observer's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name."""
+
+    line: Linearisation
+    weights: Weights
+    state: Layout
+    z: Any
+    u: Any
+    p: Any
+    t: Any
+    h: Any
+    s: SimpleNamespace
+    q: SimpleNamespace
+    read: ports.Inputs
+
+    @property
+    def n(self) -> int:
+        return len(self.line.variables)
+
+    @property
+    def one(self) -> Any:
+        """The identity (n^2): the transition matrix at an interval's start."""
+        return ca.vec(ca.DM.eye(self.n).full())
+
+    @property
+    def reset(self) -> Any:
+        """The information at an interval's start (n^2)."""
+        return self.weights.information(self.q.prior, self.n)
+
+
+def parts(model: Model, line: Linearisation, weights: Weights) -> Parts:
+    n, ny = len(line.variables), len(model.outputs)
+    state = Layout(
+        x=n, Phi=n * n, Y=n * n, x_filtered=n, before=n, undoable=1, samples=1, innovation=ny, status=1, contraction=1, certified=1,
+        intervals=1, rejected=1, failures=1,
+    )  # fmt: skip
+    tuned = {"samples": len(weights.samples), "prior": len(weights.prior)}
+    settings = Layout(guess=n, model=len(model.parameters), T=1, **tuned, sample_time=1)
+    z, u, p, t, h = (
+        ca.MX.sym(*shape)
+        for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
+    )
+    return Parts(line, weights, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u))
+
+
+def start(v: Parts) -> ca.Function:
+    """start(p, t0) -> z: the guess, at the start of an interval."""
+    first = (
+        {part: ca.DM.zeros(size) for part, size in v.state.sizes.items()}
+        | {
+            "x": v.q.guess,
+            "Phi": v.one,
+            "Y": v.reset,
+            "x_filtered": v.q.guess,
+            "before": v.q.guess,  # the prediction at the last sample, before it acted; `undoable`, whether to go back to it is worth a try
+            "status": ca.DM(CODE.propagated_guess),
+        }
+    )
+    return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
+
+
+def flow(v: Parts) -> ca.Function:
+    """flow(z, u, p, t, h) -> z: (8) without correction, and (11), over h.
+
+    Where x escapes, the last sample is undone; a prediction that escapes by itself starts again from the guess.
+    """
+    s, n, line = v.s, v.n, v.line
+    rate = ca.Function(
+        "moving",
+        [moving := ca.SX.sym("moving", n + n * n), line.u, line.p, line.t],
+        [
+            ca.vertcat(
+                line.rate(moving[:n], line.u, line.p, line.t),
+                ca.vec(line.jacobian(moving[:n], line.u, line.p, line.t) @ ca.reshape(moving[n:], n, n)),
+            )
+        ],
+    )
+    moved = runge_kutta(lambda x, time: rate(x, v.read.known, v.q.model, time), ca.vertcat(s.x, s.Phi), v.t, v.h)
+    whole, finite = ca.sumsqr(moved[:n]) < HUGE, ca.sumsqr(moved) < HUGE
+    back = ca.if_else(s.undoable, s.before, v.q.guess)
+    after = v.state.replace(
+        v.z,
+        x=ca.if_else(whole, moved[:n], back),
+        x_filtered=ca.if_else(whole, s.x_filtered, back),
+        undoable=ca.logic_and(s.undoable, whole),
+        Phi=ca.if_else(finite, moved[n:], v.one),
+        Y=ca.if_else(finite, s.Y, v.reset),
+        samples=ca.if_else(finite, s.samples, 0),
+        status=ca.if_else(finite, s.status, CODE.solver_failed),
+        failures=s.failures + ca.logic_not(finite),
+    )
+    return ca.Function("flow", [v.z, v.u, v.p, v.t, v.h], [after])
+
+
+def jump(v: Parts) -> ca.Function:
+    """jump(z, u, p, t) -> z: the sample, as the last one of an interval that ends here, then, after the reset, as the first of the next."""
+    s, q, read, line = v.s, v.q, v.read, v.line
+    ny = read.y.numel()
+    ended = s.samples >= ca.fmax(ca.floor(q.T / q.sample_time + 0.5), 1)
+    residual = read.y - line.measure(s.x, read.known, q.model, v.t)
+    valid, rejected = ports.judged(residual, read.offered)
+    g, sigma = v.weights.of_sample(q.samples, q.sample_time)
+    sample = _sample(line, ny, sigma.numel())
+    given = (read.known, q.model, v.t, ca.if_else(valid, read.y, 0), valid, g, sigma)
+    at_end = ca.logic_or(ended, s.samples == 0)
+    x, Y = sample(s.x, s.Phi, s.Y, *given, ca.if_else(at_end, 0.5, 1))
+    factors = ca.vertcat(s.contraction, s.certified)
+    x, Phi, Y, factors = _reset(v, sample)(ended, x, s.Phi, Y, *given, q.prior, factors)
+    finite = ca.sumsqr(ca.vertcat(x, Y, factors)) < HUGE
+    incomplete = ca.sum1(valid) < ny
+    x = ca.if_else(finite, x, s.x)
+    after = v.state.replace(
+        v.z,
+        x=x,
+        Phi=ca.if_else(finite, Phi, v.one),
+        Y=ca.if_else(finite, Y, v.reset),
+        x_filtered=x,
+        before=s.x,
+        undoable=1,
+        samples=ca.if_else(finite, ca.if_else(ended, 0, s.samples) + 1, 0),
+        innovation=ca.if_else(valid, residual, 0),
+        status=ca.if_else(finite, ca.if_else(incomplete, CODE.sample_rejected, CODE.corrected), CODE.solver_failed),
+        contraction=ca.if_else(finite, factors[0], s.contraction),
+        certified=ca.if_else(finite, factors[1], s.certified),
+        intervals=s.intervals + ended,
+        rejected=s.rejected + rejected,
+        failures=s.failures + ca.logic_not(finite),
+    )
+    return ca.Function("jump", [v.z, v.u, v.p, v.t], [after])
+
+
+def _sample(line: Linearisation, ny: int, n_sigma: int) -> ca.Function:
+    """sample(x, Phi, Y, u, p, t, y, valid, g, sigma, weight) -> (x, Y) after a sample of that weight; where `valid` is 0 it has none."""
+    n = len(line.variables)
+    x, Phi, Y, u, p, t, y, valid, g, sigma, weight = (
+        ca.MX.sym(*shape)
+        for shape in (
+            ("x", n), ("Phi", n * n), ("Y", n * n), ("u", line.u.numel()), ("p", line.p.numel()), ("t",), ("y", ny),
+            ("valid", ny), ("g",), ("sigma", n_sigma), ("weight",),
+        )
+    )  # fmt: skip
+    C = ca.diag(valid) @ line.gradient(x, u, p, t)
+    r = ca.if_else(valid, y - line.measure(x, u, p, t), 0)
+    if n_sigma:
+        C, r = ca.diag(1 / sigma) @ C, r / sigma
+    update = information_update(n, ny)
+    x_after, Y_after = update(x, ca.reshape(Phi, n, n), ca.reshape(Y, n, n), C, r, weight * g)
+    function = ca.Function("sample", [x, Phi, Y, u, p, t, y, valid, g, sigma, weight], [x_after, ca.vec(Y_after)])
+    return function.expand() if n <= UNROLLED else function
+
+
+def _reset(v: Parts, sample: ca.Function) -> ca.Function:
+    """reset(ended, x, Phi, Y, u, p, t, y, valid, g, sigma, prior, factors) -> (x, Phi, Y, factors); nothing changes unless `ended`.
+
+    `factors` are the actual and the certified contraction of the interval that ended.
+    """
+    n = v.n
+    prior, old = ca.MX.sym("prior", v.q.prior.numel()), ca.MX.sym("old", 2)
+    x, Phi, Y, *given = (ca.MX.sym(sample.name_in(i), sample.numel_in(i)) for i in range(sample.n_in() - 1))
+    one = ca.DM.eye(n).full().ravel()
+    factors = v.weights.contraction(ca.reshape(Phi, n, n), ca.reshape(Y, n, n), prior)
+    x_new, Y_new = sample(x, one, v.weights.information(prior, n), *given, 0.5)
+    arguments = [x, Phi, Y, *given, prior, old]
+    begin = ca.Function("begin", arguments, [x_new, ca.MX(one), Y_new, factors])
+    go_on = ca.Function("go_on", arguments, [x, Phi, Y, old])
+    return ca.Function.if_else("reset", begin, go_on)

@@ -1,0 +1,111 @@
+"""Step 1 of the main algorithm of Gong, Ross & Kang 2007, section 3.1: collect the new measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from observers.numerics.finite import finite
+from observers.pseudospectral.method import Method
+from observers.pseudospectral.window.problem import known_terms
+from observers.pseudospectral.window.sliding import insert_input, insert_sample
+
+
+@dataclass(frozen=True)
+class Instant:
+    """A sample instant t_k: what the last one left (`s`, a `memory.layout`), the parameters `q`, what is measured now, known now, and when.
+
+    `u` the component's inputs, of which `measured` (ny) come first, and whether each has arrived, `offered` (ny); `known` (nu) the model's
+    inputs, lifted; `t` [s].
+    """
+
+    s: SimpleNamespace
+    q: SimpleNamespace
+    u: Any
+    offered: Any
+    known: Any
+    t: Any
+
+    @property
+    def measured(self) -> Any:
+        return self.u[: self.offered.numel()]
+
+
+@dataclass(frozen=True)
+class Window:
+    """The window [t_k - L Ts, t_k] with the new sample at its `place`; a window that is not full yet is not `moving`.
+
+    `readable`, `valid` (ny): what of the new sample is a number, and what counts; `y` (ny) that, else 0; `innovation` (ny) against the
+    prediction. `Y`, `W` (ny (L + 1)) the window's samples and their weights; `U` its inputs as `Segment` wants them, `seen` those at the
+    samples where the outputs see them, `at_points` those at the measured points; `data` the problem's known terms, `start` its time [s];
+    `active` (segments), which of them have a sample.
+    """
+
+    readable: Any
+    valid: Any
+    y: Any
+    innovation: Any
+    moving: Any
+    place: Any
+    Y: Any
+    W: Any
+    U: Any
+    seen: Any
+    at_points: Any
+    data: Any
+    start: Any
+    active: Any
+
+
+def collect(method: Method, now: Instant) -> Window:
+    """Step 1: the new sample in its place in the window. A measurement that is rejected weighs nothing and never enters."""
+    s, problem, L = now.s, method.problem, method.samples
+    readable = finite(now.measured)
+    valid = ca.logic_and(readable, now.offered)
+    y = ca.if_else(valid, now.measured, 0)
+    place = ca.fmin(s.k, L)
+    Y, W = (insert_sample(problem.ny, L + 1)(column, new, s.k) for column, new in ((s.y, y), (s.weight, valid)))
+    start = now.t - place * problem.segment.sample_time
+    U, seen, at_points = _inputs(method, now)
+    expected = method.measure(s.x, now.known, now.q.model, s.theta, now.t, s.z)[0]
+    gap = now.measured - expected  # not finite where the measurement or the prediction's output is not
+    return Window(
+        readable=readable,
+        valid=valid,
+        y=y,
+        innovation=ca.if_else(ca.logic_and(now.offered, finite(gap)), gap, 0),
+        moving=s.k > L,
+        place=place,
+        Y=Y,
+        W=W,
+        U=U,
+        seen=seen,
+        at_points=at_points,
+        data=known_terms(problem)(start, U, at_points, now.q.model),
+        start=start,
+        active=_active(method, place),
+    )
+
+
+def _active(method: Method, place: Any) -> Any:
+    problem = method.problem
+    if problem.count == 1:
+        return ca.MX(1)
+    return ca.vertcat(1, place > ca.DM(range(1, problem.count)) * problem.segment.samples)
+
+
+def _inputs(method: Method, now: Instant) -> tuple[Any, Any, Any]:
+    """`U`, `seen` and `at_points` of the window, which the inputs since the last sample now are known for."""
+    s, L, nu, segment = now.s, method.samples, method.problem.nu, method.problem.segment
+    held = segment.input_kind == "held"
+    last = s.input_integral / segment.sample_time if held else now.known
+    U = insert_input(nu, L, held)(s.u, last, now.known, s.k)
+    seen = insert_input(nu, L, False)(s.seen, now.known, now.known, s.k) if method.sees_inputs else ca.MX(0, 1)
+    if method.spline:
+        through = np.kron(segment.inputs_at(method.problem.points), np.eye(nu))
+        return U, seen, ca.MX(ca.DM(through)) @ U if nu else ca.MX(0, 1)
+    return U, seen, seen if method.sees_inputs else ca.MX(ca.DM.zeros(nu * (L + 1)))

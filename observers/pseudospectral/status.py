@@ -1,0 +1,84 @@
+"""How good the estimate of a sample is, and what its FMU says of it: `diagnostics.status` and the numbers behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from observers.numerics.finite import finite, kept
+from observers.pseudospectral.estimate import Estimate
+from observers.pseudospectral.method import Method
+from observers.pseudospectral.ports import CODE
+from observers.pseudospectral.problem_2 import VIOLATED, Reference, Solution
+from observers.pseudospectral.sample import Instant, Window
+from observers.pseudospectral.window import trajectory
+
+
+@dataclass(frozen=True)
+class Quality:
+    """`status`, one of CODE; `deviation` of the least certain estimate and `node0`, the largest residual of (16) at a dropped node 0, in
+    units of nominal values; `changed`, for how many samples yet the window holds some from before a change of a model parameter.
+    """
+
+    status: Any
+    deviation: Any
+    node0: Any
+    changed: Any
+
+
+def quality(
+    method: Method, now: Instant, window: Window, ref: Reference, solution: Solution, estimate: Estimate
+) -> Quality:
+    """What the estimate of this sample is worth."""
+    s, q, problem, model = now.s, now.q, method.problem, method.model
+    ny, Ts = problem.ny, problem.segment.sample_time
+    V, Z, _ = solution.trajectory
+    node0, regularity = trajectory.node0(problem)(
+        V,
+        Z,
+        estimate.x0,
+        estimate.theta,
+        q.model,
+        window.start,
+        window.U,
+        *([window.active] if problem.count > 1 else []),
+    )
+    changed = _changed(method, now)
+    deviation = _deviation(method, now, window, solution)
+    rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
+    status = ca.if_else(window.moving + (s.k == method.samples), CODE.converged, CODE.growing_window)
+    # The later, the graver.
+    for condition, code in (
+        (solution.kept, CODE.prediction_kept),
+        (ca.sum1(window.valid) < ny, CODE.sample_rejected),
+        (node0 > q.collocation_limit, CODE.coarse_collocation),
+        (changed > 0, CODE.parameter_changed),
+        (deviation > q.deviation_limit, CODE.uncertain),
+        (rms > q.residual_limit, CODE.inconsistent),
+        (solution.slack > VIOLATED, CODE.inconsistent),
+        (solution.undetermined, CODE.undetermined),
+        (solution.failed, CODE.solver_failed),
+        (regularity < q.regularity_limit if model.algebraic else 0, CODE.singular),
+        (ca.logic_not(ref.enough), CODE.propagated_guess),
+        (ca.sum1(window.valid) == 0, CODE.sample_rejected),
+    ):
+        status = ca.if_else(condition, code, status)
+    return Quality(status, deviation, kept(node0, s.node0_residual), changed)
+
+
+def _changed(method: Method, now: Instant) -> Any:
+    """L at a change of a model parameter, then one less a sample."""
+    s, q = now.s, now.q
+    changes = ca.logic_and(s.k > 0, ca.sumsqr(q.model - s.model) > 0) if method.model.parameters else 0
+    return ca.if_else(changes, method.samples, ca.fmax(s.changed - 1, 0))
+
+
+def _deviation(method: Method, now: Instant, window: Window, solution: Solution) -> Any:
+    """The standard deviation that the samples' noise leaves; the noise is what the fit leaves, or what tuning says of it."""
+    problem = method.problem
+    redundancy = ca.fmax(ca.sum1(window.W) - problem.nx - problem.n_theta, 1)
+    noise = problem.segment.sample_time if method.arrival else solution.cost_after / redundancy
+    deviation = ca.sqrt(ca.fmax(solution.spread * noise, 0))
+    return ca.if_else(ca.logic_and(solution.accepted, finite(deviation)), deviation, now.s.deviation)

@@ -1,0 +1,176 @@
+"""The Riccati observer between samples and at a sample: (2.1) and (2.2) of James & Baras 1987, split as `observer` says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from observers import ports
+from observers.component import Enumeration
+from observers.linearisation import Linearisation
+from observers.model import Model
+from observers.numerics.finite import HUGE
+from observers.numerics.layout import Layout
+from observers.numerics.riccati import propagator, symmetric
+from observers.numerics.runge_kutta import runge_kutta
+from observers.riccati.certificates import NONE, Certificate, certify
+from observers.riccati.correction import correction
+from observers.riccati.design import Design
+from observers.riccati.rosenbrock import rosenbrock
+
+STATUS = Enumeration(
+    "RiccatiStatus",
+    (
+        ("propagated_guess", "no sample yet: the estimate is the propagated guess"),
+        ("corrected", "the last sample corrected the estimate"),
+        (
+            "sample_rejected",
+            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
+        ),
+        (
+            "solver_failed",
+            "a step was not finite: the estimate is the prediction without the last sample, Q starts again from Q0",
+        ),
+    ),
+)
+CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The observer's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name.
+
+    `N`, `Q0` (n x n) and `Rd` (ny x ny) are the design's matrices as expressions of p, Rd the covariance of a sample.
+    """
+
+    model: Model
+    line: Linearisation
+    design: Design
+    certificate: Certificate
+    stiff: bool
+    state: Layout
+    z: Any
+    u: Any
+    p: Any
+    t: Any
+    h: Any
+    s: SimpleNamespace
+    q: SimpleNamespace
+    read: ports.Inputs
+    N: Any
+    Rd: Any
+    Q0: Any
+
+
+def parts(model: Model, line: Linearisation, design: Design, certificate: Certificate, stiff: bool) -> Parts:
+    n, ny = len(line.variables), len(model.outputs)
+    state = Layout(
+        m=n, Q=n * n, m_filtered=n, before=n, undoable=1, guess_error=1, innovation=ny, status=1, certified=1, rate=1, rejected=1,
+        failures=1,
+    )  # fmt: skip
+    settings = Layout(guess=n, model=len(model.parameters), **design.sizes, initial_error=1, sample_time=1)
+    z, u, p, t, h = (
+        ca.MX.sym(*shape)
+        for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
+    )
+    s, q, read = state.unpack(z), settings.unpack(p), ports.read(model, u)
+    N, Rd, Q0 = design.N.of(q.N), design.Rd(q.R, q.sample_time), design.Q0.of(q.Q0)
+    return Parts(model, line, design, certificate, stiff, state, z, u, p, t, h, s, q, read, N, Rd, Q0)
+
+
+def start(v: Parts) -> ca.Function:
+    """start(p, t0) -> z: m0, Q0."""
+    first = {
+        "m": v.q.guess,
+        "Q": ca.vec(ca.densify(v.Q0)),
+        "m_filtered": v.q.guess,
+        "before": v.q.guess,  # the prediction at the last sample, before it acted
+        "undoable": ca.DM(0),  # whether to go back to it is worth a try
+        "guess_error": v.certificate.distance(v.q.guess, v.q.initial_error),
+        "innovation": ca.DM.zeros(len(v.model.outputs)),
+        "status": ca.DM(CODE.propagated_guess),
+        "rejected": ca.DM(0),
+        "failures": ca.DM(0),
+    }
+    first["certified"], first["rate"] = certify(v.certificate, first["guess_error"], 1)
+    return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
+
+
+def flow(v: Parts) -> ca.Function:
+    """flow(z, u, p, t, h) -> z: (2.1), (2.2) without measurements over h.
+
+    A is taken at the middle of the step, so that Q too is of second order in it. Where m escapes, the last sample is undone; a prediction
+    that escapes by itself starts again from the guess.
+    """
+    s, q, line, known = v.s, v.q, v.line, v.read.known
+    n = len(line.variables)
+    Q, W = ca.reshape(s.Q, n, n), v.N @ v.N.T
+    if v.stiff:
+        at = (s.m, known, q.model, v.t)
+        dm, Phi, Wd = rosenbrock(line.jacobian(*at), line.rate(*at), line.rate_t(*at), W, v.h)
+        m = s.m + dm
+    else:
+        m = runge_kutta(lambda x, time: line.rate(x, known, q.model, time), s.m, v.t, v.h)
+        Phi, Wd = propagator(n)(line.jacobian((s.m + m) / 2, known, q.model, v.t + v.h / 2), W, v.h)
+    Q = ca.vec(symmetric(Wd + Phi @ Q @ Phi.T))
+    whole = ca.sumsqr(m) < HUGE
+    finite = ca.logic_and(whole, ca.sumsqr(Q) < HUGE)
+    back = ca.if_else(s.undoable, s.before, q.guess)
+    after = v.state.replace(
+        v.z,
+        m=ca.if_else(whole, m, back),
+        Q=ca.if_else(finite, Q, ca.vec(ca.densify(v.Q0))),
+        m_filtered=ca.if_else(whole, s.m_filtered, back),
+        undoable=ca.logic_and(s.undoable, whole),
+        status=ca.if_else(finite, s.status, CODE.solver_failed),
+        failures=s.failures + ca.logic_not(finite),
+    )
+    return ca.Function("flow", [v.z, v.u, v.p, v.t, v.h], [after])
+
+
+def jump(v: Parts) -> ca.Function:
+    """jump(z, u, p, t) -> z: the correction of m and Q by the sample at t_k."""
+    s, q, read, line = v.s, v.q, v.read, v.line
+    n, ny = len(line.variables), len(v.model.outputs)
+    at = (s.m, read.known, q.model, v.t)
+    residual = read.y - line.measure(*at)
+    valid, rejected = ports.judged(residual, read.offered)
+    innovation = ca.if_else(valid, residual, 0)  # a residual that is not finite is not valid
+    Q = ca.reshape(s.Q, n, n)
+    m, Q_after = correction(n, ny)(s.m, Q, line.gradient(*at), innovation, v.Rd, valid)
+    Q_after = ca.vec(Q_after)
+    finite = ca.sumsqr(ca.vertcat(m, Q_after)) < HUGE
+    incomplete = ca.sum1(valid) < ny
+    certified, rate = _certified(v, ca.if_else(finite, m, s.m), incomplete)
+    status = ca.if_else(incomplete, CODE.sample_rejected, CODE.corrected)
+    m = ca.if_else(finite, m, s.m)
+    after = v.state.replace(
+        v.z,
+        m=m,
+        Q=ca.if_else(finite, Q_after, ca.vec(ca.densify(v.Q0))),
+        m_filtered=m,
+        before=s.m,
+        undoable=1,
+        innovation=innovation,
+        status=ca.if_else(finite, status, CODE.solver_failed),
+        certified=certified,
+        rate=rate,
+        rejected=s.rejected + rejected,
+        failures=s.failures + ca.logic_not(finite),
+    )
+    return ca.Function("jump", [v.z, v.u, v.p, v.t], [after])
+
+
+def _certified(v: Parts, m: Any, incomplete: Any) -> tuple[Any, Any]:
+    """The certificate holds for the design it was computed for, and while the estimate is where its bounds are valid."""
+    q = v.q
+    values = ca.vertcat(q.model, q.N, q.R, q.Q0)
+    wanted = [p.start for p in (*v.model.parameters, *v.design.ports)]
+    holds = ca.logic_and(ca.sumsqr(values - ca.DM(wanted)) == 0, v.certificate.inside(m, v.read.known))
+    if v.design.sample_time is not None:
+        holds = ca.logic_and(holds, q.sample_time == v.design.sample_time)
+    holds = ca.logic_and(ca.logic_and(holds, ca.logic_not(incomplete)), v.s.certified > NONE)
+    return certify(v.certificate, v.s.guess_error, holds)

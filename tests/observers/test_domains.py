@@ -1,0 +1,119 @@
+"""Nothing that a model meets ends a run: no measurement, no iterate and no parameter in its range is an error of the step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from domain_models import MODELS, SAMPLE_TIMES
+from observers.canonical_dae import canonical_dae
+from observers.component import Component, bounds
+from observers.elementary import elementary
+from observers.instance import Instance
+from observers.least_squares import least_squares
+from observers.model import Model, ModelError
+from observers.pseudospectral import pseudospectral
+from observers.riccati import riccati
+from observers.ukf import ukf
+from reference_models.plant import plant
+
+Make = Callable[[Model, float], Component]
+KINDS: dict[str, Make] = {
+    "pseudospectral": lambda m, Ts: pseudospectral(m, sample_time=Ts, N=6, L=8),
+    "segments": lambda m, Ts: pseudospectral(m, sample_time=Ts, N=4, L=8, segments=4),
+    "arrival": lambda m, Ts: pseudospectral(m, sample_time=Ts, N=6, L=8, arrival_cost=True),
+    "tube": lambda m, Ts: pseudospectral(m, sample_time=Ts, N=5, L=6, noise_bound=0.1),
+    "spline": lambda m, Ts: pseudospectral(m, sample_time=Ts, N=6, L=8, cost="spline"),
+    "ukf": lambda m, Ts: ukf(m, sample_time=Ts),
+    "riccati": lambda m, Ts: riccati(m, sample_time=Ts),
+    "least_squares": lambda m, Ts: least_squares(m, sample_time=Ts, T=20 * Ts, linearise=True),
+    "canonical_dae": lambda m, Ts: canonical_dae(m, sample_time=Ts),
+    "elementary": lambda m, Ts: elementary(m, sample_time=Ts, N=8, K=3),
+}
+# What a sensor can come out with instead of a measurement.
+ABSURD = (math.nan, math.inf, -math.inf, 1e4, -1e4, 0.0, -1.0, 1e30, -1e30, 1e200, -1e300)
+BUILDS_NOT = {  # each with the reason that its message names
+    ("elementary", "two_tanks"): "unknown parameters",
+    ("elementary", "log_sensor"): "unknown parameters",
+    ("elementary", "reactor"): "unknown parameters",
+    ("canonical_dae", "two_tanks"): "not observable",
+    ("canonical_dae", "diode"): "not observable",
+}
+
+
+def made(kind: str, name: str) -> tuple[Component, float]:
+    sample_time = SAMPLE_TIMES.get(name, 0.1)
+    if (reason := BUILDS_NOT.get((kind, name))) is not None:
+        with pytest.raises(ModelError, match=reason):
+            KINDS[kind](MODELS[name], sample_time)
+        pytest.skip(f"refused: {reason}")
+    return KINDS[kind](MODELS[name], sample_time), sample_time
+
+
+def measurements(name: str, sample_time: float, count: int) -> list[dict[str, float]]:
+    """What the plant, excited and with a noisy sensor, gives its observer."""
+    model = MODELS[name]
+    truth = Instance(plant(model, max_step=0.01), {"sensor.noise_std": 0.02, "sensor.sample_time": sample_time})
+    rows = []
+    for k in range(count):
+        swing = 1 + 0.3 * math.sin(0.2 * k)
+        held = {v.name: v.start * swing for v in model.inputs}
+        for input_name, value in held.items():
+            truth.set(input_name, value)
+        rows.append(held | {v.name: truth.get(v.name) for v in model.outputs})
+        truth.step(k * sample_time, sample_time)
+    return rows
+
+
+def run(instance: Instance, rows: list[dict[str, float]], sample_time: float) -> None:
+    """Steps through `rows`; every output is finite after each step, and no step is refused."""
+    for k, row in enumerate(rows):
+        for name, value in row.items():
+            instance.set(name, value)
+        instance.step(k * sample_time, sample_time)
+        values = instance.outputs()
+        assert np.all(np.isfinite(values)), (k, row, values)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_measurement_ends_the_run(kind: str, name: str) -> None:
+    component, sample_time = made(kind, name)
+    rows = measurements(name, sample_time, 120)
+    random = np.random.default_rng(1)
+    outputs = [v.name for v in MODELS[name].outputs]
+    for k in range(15, 90):  # one in five, in bursts too
+        if random.random() < (0.8 if 60 < k < 70 else 0.2):
+            rows[k][random.choice(outputs)] = random.choice(ABSURD)
+    run(Instance(component), rows, sample_time)
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_guess_ends_the_run(kind: str, name: str) -> None:
+    """A first guess outside the equations' domain, far away, or at the edge."""
+    component, sample_time = made(kind, name)
+    rows = measurements(name, sample_time, 30)
+    guesses = [port for port in component.parameters if port.name.startswith("guess.")]
+    for port in guesses:
+        low, high = bounds(port)
+        for value in (-1.0, 0.0, 1e4, 1e60, -1e100, low, high):
+            if low <= value <= high and math.isfinite(value):
+                run(Instance(component, {port.name: value}), rows, sample_time)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_parameter_in_its_range_ends_the_run(kind: str) -> None:
+    name = "tank" if kind in ("elementary", "canonical_dae") else "two_tanks"
+    component, sample_time = made(kind, name)
+    rows = measurements(name, sample_time, 30)
+    for port in component.parameters:
+        if port.name.startswith("guess.") or port.name == "sample_time":
+            continue
+        low, high = bounds(port)
+        for value in {low, high, 0.0, 1e-300, 1e30, 1e100}:
+            if low <= value <= high and math.isfinite(value) and (port.kind == "Real" or float(value).is_integer()):
+                run(Instance(component, {port.name: value}), rows, sample_time)
