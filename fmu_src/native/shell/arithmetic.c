@@ -4,6 +4,7 @@
 #include "arithmetic.h"
 
 #if defined __clang__
+#pragma clang diagnostic ignored "-Wignored-pragmas" /* where clang has nothing to do for it, as on 32-bit ARM */
 #pragma STDC FENV_ACCESS ON
 #endif
 

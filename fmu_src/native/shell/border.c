@@ -4,6 +4,7 @@
 #include "border.h"
 
 #if defined __clang__
+#pragma clang diagnostic ignored "-Wignored-pragmas" /* as in arithmetic.c */
 #pragma STDC FENV_ACCESS ON
 #endif
 
