@@ -13,6 +13,8 @@ import pytest
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
 DEBIANS_WINE = "/usr/lib/wine/wine64"  # which puts no name on PATH
+QEMU = shutil.which("qemu-aarch64")
+ARM_ROOT = Path("/usr/aarch64-linux-gnu")  # where Debian keeps the C library for it
 WINE = DEBIANS_WINE if Path(DEBIANS_WINE).is_file() else shutil.which("wine64")
 
 

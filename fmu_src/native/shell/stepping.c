@@ -165,7 +165,7 @@ static void report_state(Instance *self, const double *z, double t, double end)
                component.name, t, end, input, value);
     else if (has_failed(z))
         report_failure(self, z, "");
-    else if (isfinite(component.max_step))
+    else if (component.max_step < DBL_MAX)
         report(self, fmi2Error, LOG_ERROR,
                "%s: the state is not finite after the step from t = %.15g to %.15g; a model that is stiff there wants a "
                "smaller max_step than %.10g.",

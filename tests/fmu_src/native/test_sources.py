@@ -13,9 +13,9 @@ from pathlib import Path
 import fmpy
 import pytest
 
-from conftest import Slave
 from fmu_src.compliance.files.binaries import functions
 from fmu_src.native import compiler as native
+from slave import Slave
 from tools import need
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads ELF files")

@@ -1,4 +1,4 @@
-"""The Windows binary, under wine: the whole FMI call sequence, and the numbers of linux64."""
+"""The binaries for Windows and for Linux on ARM, under wine and qemu: the whole FMI call sequence, and the numbers of linux64."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,11 +20,11 @@ from cosim.results import Result
 from fmu_src.compliance.files.binaries import functions
 from fmu_src.native import compiler as native
 from slave import Slave
-from tools import WINE, need
+from tools import ARM_ROOT, QEMU, WINE, need
 
-pytestmark = pytest.mark.long  # zig compiles its C library for Windows once: a minute
+pytestmark = pytest.mark.long  # zig compiles its C library for each platform once: a minute
 
-DRIVER = Path(__file__).parent / "win64" / "drive.c"
+DRIVER = Path(__file__).parent / "drive" / "drive.c"
 # A system for every kind of observer, with its plant.
 KINDS = (
     "gong_example_2",
@@ -48,51 +48,74 @@ Answers = list[list[str]]
 
 
 @dataclass(frozen=True)
-class Windows:
-    """Wine with the program that makes FMI calls, and where it keeps what it thinks is a Windows."""
+class Machine:
+    """What runs the program that makes FMI calls as on another platform, with variables of its environment."""
 
-    program: Path
-    prefix: Path
+    platform: str
+    suffix: str
+    command: tuple[str, ...]
+    environment: Mapping[str, str]
 
     def calls(self, library: Path, lines: Sequence[str], folder: Path, status: int = 0) -> Answers:
         """The program's answers, cut into words; it must end with `status`."""
         done = subprocess.run(
-            [str(WINE), str(self.program), str(library)],
+            [*self.command, str(library)],
             input="\n".join(lines) + "\n",
             capture_output=True,
             text=True,
             cwd=folder,
-            env=os.environ | {"WINEPREFIX": str(self.prefix), "WINEDEBUG": "-all"},
+            env=os.environ | dict(self.environment),
         )
         assert done.returncode == status, done.stdout[-500:] + done.stderr[-500:]
         return [line.split() for line in done.stdout.splitlines()]
 
 
-@pytest.fixture(scope="session")
-def windows(tmp_path_factory: pytest.TempPathFactory) -> Windows:
+def _windows(folder: Path) -> Machine:
     need(WINE is not None, "wine64 is not installed here: make ci-tools")
-    folder = tmp_path_factory.mktemp("wine")
+    program = compiled_driver(folder, "x86_64-windows-gnu", "drive.exe")
+    environment = {"WINEPREFIX": str(folder / "prefix"), "WINEDEBUG": "-all"}
+    return Machine("win64", ".dll", (str(WINE), program), environment)
+
+
+def _arm(folder: Path) -> Machine:
+    need(
+        QEMU is not None and ARM_ROOT.is_dir(), "qemu-user and libc6-arm64-cross are not installed here: make ci-tools"
+    )
+    program = compiled_driver(folder, "aarch64-linux-gnu.2.17", "drive", "-ldl")
+    return Machine("aarch64-linux", ".so", (str(QEMU), "-L", str(ARM_ROOT), program), {})
+
+
+MACHINES = {"win64": _windows, "aarch64-linux": _arm}
+
+
+def compiled_driver(folder: Path, target: str, name: str, *libraries: str) -> str:
+    """The path of the test tool for another platform."""
     headers = Path(fmpy.__file__).parent / "c-code"
     cache = str(native.cache_folder())
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu", "-std=c99", "-O1"]
-    command += ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(headers), str(DRIVER), "-o", "drive.exe"]
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", target, "-std=c99", "-O1"]
+    command += ["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(headers), str(DRIVER), "-o", name, *libraries]
     environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}
     subprocess.run(command, cwd=folder, env=environment, check=True)
-    return Windows(folder / "drive.exe", folder / "prefix")
+    return str(folder / name)
+
+
+@pytest.fixture(scope="session", params=MACHINES)
+def machine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return MACHINES[request.param](tmp_path_factory.mktemp(request.param))
 
 
 @pytest.fixture(scope="session")
-def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the systems of KINDS; their FMUs hold the binaries of this machine and of Windows."""
-    folder = tmp_path_factory.mktemp("win64")
-    build_all(choose(KINDS), folder / "fmus", ["host", "win64"])
+def built_for_all(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the systems of KINDS; their FMUs hold the binaries of this machine and of MACHINES."""
+    folder = tmp_path_factory.mktemp("emulated")
+    build_all(choose(KINDS), folder / "fmus", ["host", *MACHINES])
     return folder
 
 
 @pytest.fixture(scope="session")
-def records(both: Path) -> dict[str, Result]:
+def records(built_for_all: Path) -> dict[str, Result]:
     """What the master records of the systems with this machine's binaries."""
-    return {name: run(both / "systems" / f"{name}.ssp") for name in KINDS}
+    return {name: run(built_for_all / "systems" / f"{name}.ssp") for name in KINDS}
 
 
 def kind(fmu: Path) -> frozenset[str]:
@@ -118,12 +141,12 @@ def bits(value: float) -> str:
 class Element:
     """An element of a recorded system: the calls that repeat what the master did with it, and the numbers of then."""
 
-    def __init__(self, both: Path, system: str, name: str, result: Result, folder: Path):
+    def __init__(self, machine: Machine, fmus: Path, system: str, name: str, result: Result, folder: Path):
         recipe = SYSTEMS[system]
-        self.folder = Path(fmpy.extract(str(both / "fmus" / f"{recipe.fmus[name]}.fmu"), str(folder)))
+        self.folder = Path(fmpy.extract(str(fmus / "fmus" / f"{recipe.fmus[name]}.fmu"), str(folder)))
         description = fmpy.read_model_description(str(self.folder))
         identifier = description.coSimulation.modelIdentifier
-        self.library = self.folder / "binaries" / "win64" / f"{identifier}.dll"
+        self.library = self.folder / "binaries" / machine.platform / f"{identifier}{machine.suffix}"
         self.variables = {v.name: v for v in description.modelVariables}
         self.step = recipe.step
         self.steps = len(result.time) - 1
@@ -188,11 +211,11 @@ def values(answers: Answers) -> Answers:
 @pytest.mark.parametrize("name", ["plant", "observer"])
 @pytest.mark.parametrize("system", KINDS)
 def test_every_kind_of_observer_and_its_plant_give_linux64s_numbers_and_resume_from_a_file_bit_by_bit(
-    system: str, name: str, both: Path, records: dict[str, Result], windows: Windows, tmp_path: Path
+    system: str, name: str, built_for_all: Path, records: dict[str, Result], machine: Machine, tmp_path: Path
 ) -> None:
-    element = Element(both, system, name, records[system], tmp_path / "fmu")
+    element = Element(machine, built_for_all, system, name, records[system], tmp_path / "fmu")
     half = element.steps // 2
-    first = windows.calls(
+    first = machine.calls(
         element.library,
         [
             *("version", *element.instantiate(), *element.initialise(), *element.steps_from(0, half), "save state.bin"),
@@ -207,7 +230,7 @@ def test_every_kind_of_observer_and_its_plant_give_linux64s_numbers_and_resume_f
         limit = max(tolerance * np.abs(column).max(), ROUNDING)
         np.testing.assert_allclose(found[variable], column, rtol=0, atol=limit, err_msg=variable)
 
-    resumed = windows.calls(
+    resumed = machine.calls(
         element.library,
         [
             *(*element.instantiate(), *element.initialise(), "load state.bin"),
@@ -223,25 +246,28 @@ def test_every_kind_of_observer_and_its_plant_give_linux64s_numbers_and_resume_f
     assert again[second_half:] == whole[: 4 * per_point]
 
 
-def test_all_functions_of_the_standard_are_exported(both: Path, windows: Windows, tmp_path: Path) -> None:
-    library = Path(fmpy.extract(str(both / "fmus" / "duffing.fmu"), str(tmp_path))) / "binaries/win64/duffing.dll"
+def test_all_functions_of_the_standard_are_exported(built_for_all: Path, machine: Machine, tmp_path: Path) -> None:
+    folder = Path(fmpy.extract(str(built_for_all / "fmus" / "duffing.fmu"), str(tmp_path)))
+    library = folder / "binaries" / machine.platform / f"duffing{machine.suffix}"
     names = sorted(functions("CoSimulation"))
-    answers = windows.calls(library, [f"exported {name}" for name in [*names, "component", "flow"]], tmp_path)
+    answers = machine.calls(
+        library, [f"exported {name}" for name in [*names, "duffing_component", "duffing_flow"]], tmp_path
+    )
     assert answers == [["exported", "1"]] * len(names) + [["exported", "0"]] * 2
 
 
 @pytest.fixture
-def linux(both: Path, tmp_path: Path) -> Iterator[Slave]:
+def linux(built_for_all: Path, tmp_path: Path) -> Iterator[Slave]:
     """The plant's binary for this machine, through fmpy."""
-    made = Slave(Path(fmpy.extract(str(both / "fmus" / "duffing.fmu"), str(tmp_path / "linux"))))
+    made = Slave(Path(fmpy.extract(str(built_for_all / "fmus" / "duffing.fmu"), str(tmp_path / "linux"))))
     yield made
     made.fmu.freeInstance()
 
 
 def test_input_derivatives_act_as_on_linux64(
-    both: Path, records: dict[str, Result], windows: Windows, linux: Slave, tmp_path: Path
+    built_for_all: Path, records: dict[str, Result], machine: Machine, linux: Slave, tmp_path: Path
 ) -> None:
-    element = Element(both, KINDS[0], "plant", records[KINDS[0]], tmp_path / "fmu")
+    element = Element(machine, built_for_all, KINDS[0], "plant", records[KINDS[0]], tmp_path / "fmu")
     reference = {name: element.variables[name].valueReference for name in ("u", "x.x1", "x.x2")}
     linux.initialize(SYSTEMS[KINDS[0]].parameters["plant"], stop=30.0)
     calls, expected = [*element.instantiate(), *element.initialise()], []
@@ -251,18 +277,18 @@ def test_input_derivatives_act_as_on_linux64(
         expected.append([linux.get("x.x1"), linux.get("x.x2")])
         calls += [f"setDerivative {reference['u']} {bits(1.0 + k)}", f"step {bits(0.1 * k)} {bits(0.1)}"]
         calls += [f"getReal {reference['x.x1']} {reference['x.x2']}"]
-    answers = [line for line in windows.calls(element.library, [*calls, "free"], tmp_path) if len(line) == 3]
+    answers = [line for line in machine.calls(element.library, [*calls, "free"], tmp_path) if len(line) == 3]
     found = [[number("real", text) for text in line[1:]] for line in answers if line[0] == "real"]
     np.testing.assert_allclose(found, expected, rtol=TOLERANCE)
     assert abs(expected[-1][0] - records[KINDS[0]]["plant.x.x1"][20]) > 0.01  # the derivatives do act
 
 
 def test_a_refused_call_is_an_error_with_a_message_and_not_a_crash(
-    both: Path, records: dict[str, Result], windows: Windows, tmp_path: Path
+    built_for_all: Path, records: dict[str, Result], machine: Machine, tmp_path: Path
 ) -> None:
-    element = Element(both, KINDS[0], "observer", records[KINDS[0]], tmp_path / "fmu")
-    wrong = windows.calls(element.library, ["instantiate observer {wrong}"], tmp_path, status=1)
+    element = Element(machine, built_for_all, KINDS[0], "observer", records[KINDS[0]], tmp_path / "fmu")
+    wrong = machine.calls(element.library, ["instantiate observer {wrong}"], tmp_path, status=1)
     assert wrong[0][:4] == ["log", "observer", "3", "logStatusError"] and wrong[-1] == ["failed", "instantiate", "3"]
     ready = [*element.instantiate(), *element.initialise(), *element.steps_from(0, 3)]
-    backward = windows.calls(element.library, [*ready, f"step {bits(0.0)} {bits(0.1)}"], tmp_path, status=1)
+    backward = machine.calls(element.library, [*ready, f"step {bits(0.0)} {bits(0.1)}"], tmp_path, status=1)
     assert backward[-2][:4] == ["log", "observer", "3", "logStatusError"] and backward[-1] == ["failed", "step", "3"]

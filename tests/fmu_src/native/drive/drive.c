@@ -1,6 +1,6 @@
-/* A test tool for Windows: loads an FMU's library and makes the FMI calls that it reads from stdin, one per line.
+/* A test tool for other machines: loads an FMU's library and makes the FMI calls that it reads from stdin, one per line.
 
-   drive.exe LIBRARY < calls > answers
+   drive LIBRARY < calls > answers
 
    Doubles travel as the 16 hexadecimal digits of their bits, so that nothing is rounded on the way. A call that returns
    more than fmi2Warning is answered by "failed CALL STATUS" and ends the program with status 1; so does a misspelt call. */
@@ -9,14 +9,53 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#ifdef _WIN32
 #include <windows.h>
+#else
+#include <dlfcn.h>
+#endif
 
 #include "fmi2Functions.h"
 
 #define MOST 64 /* value references in a line */
 #define LINE 4096
 
-static HMODULE library;
+#ifdef _WIN32
+typedef HMODULE Library;
+typedef FARPROC Any; /* any function's address */
+
+static Library load_library(const char *path) {
+    return LoadLibraryA(path);
+}
+
+static Any address_in(Library library, const char *name) {
+    return GetProcAddress(library, name);
+}
+
+static void unload(Library library) {
+    FreeLibrary(library);
+}
+#else
+typedef void *Library;
+typedef void (*Any)(void);
+
+static Library load_library(const char *path) {
+    return dlopen(path, RTLD_NOW | RTLD_LOCAL);
+}
+
+static Any address_in(Library library, const char *name) {
+    void *found = dlsym(library, name);
+    Any address;
+    memcpy(&address, &found, sizeof address);
+    return address;
+}
+
+static void unload(Library library) {
+    dlclose(library);
+}
+#endif
+
+static Library library;
 static fmi2Component instance;
 static fmi2FMUstate state;
 
@@ -25,8 +64,8 @@ static void stop(const char *what, const char *which) {
     exit(1);
 }
 
-static FARPROC function(const char *name) {
-    FARPROC found = GetProcAddress(library, name);
+static Any function(const char *name) {
+    Any found = address_in(library, name);
     if (found == NULL) stop("not exported", name);
     return found;
 }
@@ -170,7 +209,7 @@ static void load(void) {
 }
 
 static void exported(void) {
-    printf("exported %d\n", GetProcAddress(library, word()) != NULL);
+    printf("exported %d\n", address_in(library, word()) != NULL);
 }
 
 static void call(const char *name) {
@@ -197,13 +236,13 @@ static void call(const char *name) {
 
 int main(int count, char **arguments) {
     char line[LINE];
-    if (count != 2) stop("usage", "drive.exe LIBRARY");
-    library = LoadLibraryA(arguments[1]);
+    if (count != 2) stop("usage", "drive LIBRARY");
+    library = load_library(arguments[1]);
     if (library == NULL) stop("cannot load", arguments[1]);
     while (fgets(line, sizeof line, stdin) != NULL) {
         const char *name = strtok(line, " \r\n");
         if (name != NULL) call(name);
     }
-    FreeLibrary(library);
+    unload(library);
     return 0;
 }
