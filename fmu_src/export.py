@@ -15,6 +15,7 @@ from fmu_src.documentation import pages as documentation
 from fmu_src.documentation.reference import reference_files
 from fmu_src.errors import ExperimentFailed, ExportError, ExportWarning
 from fmu_src.native.compiler import compile_library
+from fmu_src.native.embedded import embedded
 from fmu_src.native.sources import fixed_sources, functions, prefix, tables
 from fmu_src.platforms import PLATFORMS, resolve
 from fmu_src.python import target as python_target
@@ -72,7 +73,7 @@ def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[s
     code = constant | tables(component, guid)
     contents = {
         "modelDescription.xml": describe(component, guid, source_files),
-        **{f"sources/{name}": content for name, content in code.items()},
+        **{f"sources/{name}": content for name, content in (code | embedded(component)).items()},
     }
     with tempfile.TemporaryDirectory() as scratch:
         for name, content in code.items():

@@ -187,10 +187,10 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "n_outputs": len(component.outputs),
         "n_constants": len(component.constants),
         "n_states": component.n_z,
-        "sample_time": "0.0" if isinstance(component.sample_time, str) else _real(component.sample_time),
+        "sample_time": "0.0" if isinstance(component.sample_time, str) else real(component.sample_time),
         "sample_time_parameter": p_index[str(component.sample_time)] if named else -1,
         "samples_inputs": int(component.samples_inputs),
-        "max_step": _real(component.max_step),
+        "max_step": real(component.max_step),
         "breaks": "breaks" if breaks else "NULL",
         "n_breaks": len(breaks),
         "counters": "counters" if counters else "NULL",
@@ -202,7 +202,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "jump": f"{component.name}_jump" if component.jump is not None else "NULL",
         "output": f"{component.name}_output",
         **{
-            f"sz_{kind}": _largest([f"{component.name}_{f}_SZ_{kind.upper()}" for f in component.functions])
+            f"sz_{kind}": largest([f"{component.name}_{f}_SZ_{kind.upper()}" for f in component.functions])
             for kind in ("arg", "res", "iw", "w")
         },
     }
@@ -234,18 +234,19 @@ def _variable(port: Port, role: str) -> str:
     kind = {"Real": "REAL", "Boolean": "BOOLEAN"}.get(port.kind, "INTEGER")
     start = 0.0 if role == "OUTPUT" else port.start
     low, high = bounds(port)
-    return f"{{{json.dumps(port.name)}, {role}, {kind}, {_real(start)}, {_real(low)}, {_real(high)}}}"
+    return f"{{{json.dumps(port.name)}, {role}, {kind}, {real(start)}, {real(low)}, {real(high)}}}"
 
 
-def _real(value: float) -> str:
+def real(value: float) -> str:
     """A constant of C. INFINITY is none for every compiler; no bound, or no limit of a step, is one that nothing finite exceeds."""
     if math.isinf(value):
         return "DBL_MAX" if value > 0 else "-DBL_MAX"
     return repr(float(value))
 
 
-def _largest(macros: list[str]) -> str:
+def largest(macros: list[str], larger: str = "LARGER") -> str:
+    """The expression for the largest of the macros; `larger` is the macro that compares two."""
     expression = macros[0]
     for macro in macros[1:]:
-        expression = f"LARGER({macro}, {expression})"
+        expression = f"{larger}({macro}, {expression})"
     return expression

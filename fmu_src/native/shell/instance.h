@@ -24,6 +24,7 @@
 #define has_failed PREFIX(has_failed)
 #define report_failure PREFIX(report_failure)
 #define bad_input PREFIX(bad_input)
+#define shown PREFIX(shown)
 
 typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEP_COMPLETE = 4, TERMINATED = 8 } Lifecycle;
 #define ANY_STATE (INSTANTIATED | INITIALIZATION | STEP_COMPLETE | TERMINATED)
