@@ -11,6 +11,7 @@ from typing import Any
 
 import casadi as ca
 
+from observers import units
 from observers.canonical_dae import canonical_dae
 from observers.component import SHORTEST_SAMPLE_TIME, Component
 from observers.compose import compose
@@ -78,7 +79,12 @@ def motor_controller() -> Component:
             *(v for v in MOTOR.parameters if v.name != "A1"),
             Variable("angle", "angle to hold", "rad", 0.8, min=0.1, max=1.5),
             *(
-                Variable(f"gain_{v.name}", f"gain of the {v.description}", "", start=MOTOR_GAINS[v.name])
+                Variable(
+                    f"gain_{v.name}",
+                    f"gain of the {v.description}",
+                    units.product([(MOTOR.inputs[0].unit, 1), (v.unit, -1)]),
+                    start=MOTOR_GAINS[v.name],
+                )
                 for v in MOTOR.states
             ),
             Variable("min", "smallest output", "1/s", MOTOR.inputs[0].min),

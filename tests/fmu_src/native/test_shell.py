@@ -565,7 +565,7 @@ def test_a_step_of_too_many_substeps_is_refused(slave: Make, start: dict[str, fl
     assert h == 1e300 or ("max_step = " in message and "no more than 1000000" in message)
     with pytest.raises(ValueError) as refused:
         face.step(0.0, h)
-    assert str(refused.value) + "." == message
+    assert str(refused.value) == message.rstrip(".")
     fmu.step(0.0, 0.1)
 
 

@@ -130,7 +130,7 @@ def test_skipped_repeated_and_backward_steps_are_refused_by_how_far_they_are_off
         assert f"off by {off} steps" in message or f"off by {off:.1f}" in message, message
         with pytest.raises(ValueError) as refused:
             face.step(t + off * h, h)
-        assert str(refused.value) + "." == message
+        assert str(refused.value) == message.rstrip(".")
     fmu.step(t + 0.3 * h, h)
 
 

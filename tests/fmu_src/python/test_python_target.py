@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import subprocess
 import sys
 import zipfile
@@ -300,3 +301,41 @@ def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue_system: 
     }
     limits = {name: 1e-9 if is_noisy(name) else 1e-12 for name in SYSTEMS}
     assert {name: value for name, value in differences.items() if not value <= limits[name]} == {}
+
+
+# Of a state of the slave, by byte offset behind the relay's header: lifecycle, whole, steps, label, phase, carry, step, t0, stop, numbers.
+UNSOUND = {
+    "lifecycle": (0, "q", 64),
+    "negative ticks": (8, "q", -5),
+    "not started": (8, "q", -1),
+    "steps": (16, "q", -1),
+    "time": (24, "d", np.nan),
+    "phase": (32, "d", 1.0),
+    "start time": (56, "d", np.inf),
+    "stop time": (64, "d", np.nan),
+    "parameter out of range": (72 + 5 * 8, "d", 7.0),
+    "integer that is not whole": (72 + 6 * 8, "d", 1.5),
+    "state": (-8, "d", np.nan),
+}
+
+
+@pytest.mark.parametrize("what", UNSOUND)
+def test_a_state_that_no_slave_can_have_is_refused(slave: Callable[..., Slave], what: str) -> None:
+    """Its checksum is right (FNV-1a, 64 bits)."""
+    offset, kind, value = UNSOUND[what]
+    fmu = slave("sampled_toy").initialize()
+    for k in range(5):
+        fmu.step(k * 0.1, 0.1)
+    before = fmu.state()
+    bad = bytearray(before)
+    struct.pack_into(f"<{kind}", bad, offset + 32 if offset >= 0 else offset + len(bad), value)
+    total = 14695981039346656037
+    for byte in bad[32:]:
+        total = ((total ^ byte) * 1099511628211) % 2**64
+    struct.pack_into("<Q", bad, 24, total)
+    handle = fmu.fmu.deSerializeFMUstate(bytes(bad))
+    message = fmu.refuses(lambda: fmu.fmu.setFMUstate(handle))
+    assert message == "fmi2SetFMUstate: the state holds what no instance of sampled_toy can hold."
+    fmu.fmu.freeFMUState(handle)
+    assert fmu.state() == before
+    fmu.step(0.5, 0.1)
