@@ -183,7 +183,7 @@ def test_no_interval_contracts_an_error_by_less_than_its_factors_whenever_it_beg
         ):  # the true state is zero: the estimate is the error, and linear in its start
             slave.fmu.reset()
             start = {"guess.x1": guess[0], "guess.x2": guess[1], "tuning.T": T, "tuning.gamma": gamma}
-            slave.initialize({**start, "sample_time": Ts}, t0=phase)
+            slave.initialize({**start, "sample_time": Ts, "y": 0.0}, t0=phase)
             for k in range(round(T / Ts)):
                 slave.step(phase + k * Ts, Ts)
             slave.step(phase + T, Ts)  # the sample that ends the interval
