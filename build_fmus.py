@@ -156,7 +156,8 @@ def _export_all(
     """Name and path of each FMU when it is written; `building` is told the name of one that is being built."""
     processes = min(len(fmus), os.cpu_count() or 1)
     # Components do not pickle: other processes make them anew, by their names in the catalogue. A user's file runs once.
-    if processes < 2 or not fmus.items() <= FMUS.items():
+    # The Python target compiles next to nothing, and so gains nothing from them.
+    if processes < 2 or target != "native" or not fmus.items() <= FMUS.items():
         for name, source in fmus.items():
             building(name)
             yield name, _export(source, out, platforms, target)
