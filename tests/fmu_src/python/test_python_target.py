@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 from build_fmus import SYSTEMS, build_all, choose
 from components import COMPONENTS
 from conftest import once
-from cosim.master import run
+from cosim.master import run as run_system
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.native.compiler import cache_folder, compile_library
 from fmu_src.python import target
@@ -280,7 +280,7 @@ def is_noisy(name: str) -> bool:
 
 def largest_difference(native: Path, python: Path) -> float:
     """Of any variable at any time, relative to the variable's largest value or 1."""
-    results = [run(path) for path in (native, python)]
+    results = [run_system(path) for path in (native, python)]
     assert results[0].names == results[1].names
     scale = np.maximum(1, np.nanmax(np.abs(results[0].values), axis=0))
     return float(np.nanmax(np.abs(results[0].values - results[1].values) / scale))
