@@ -18,7 +18,7 @@ from cosim.results import Result
 from demo import errors
 from observers.instance import Instance
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import STATUS
+from observers.status import STATUS
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 

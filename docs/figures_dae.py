@@ -17,7 +17,7 @@ from cosim.master import run
 from cosim.master.slave import RunError
 from cosim.results import Result
 from cosim.system import Element, System
-from observers.pseudospectral.ports import STATUS
+from observers.status import STATUS
 
 SYSTEM = "systems/gong_example_6.ssp"
 SAMPLE_TIME, FINE = 0.2, 0.01  # [s]

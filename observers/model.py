@@ -39,7 +39,8 @@ class Variable:
     """One named scalar: what it is, in which unit, where it starts and what it may be.
 
     `unit` is an FMI unit expression ("m/s", "rad/s", "1"), or "" for what may stand for anything; `start` is the value before
-    anything is known, `nominal` its typical magnitude (> 0), `min` and `max` its bounds, all in `unit`.
+    anything is known, `nominal` its typical magnitude (> 0), `min` and `max` its bounds, all in `unit`. An output
+    that is an angle has its period in `wrap` (2 pi in rad, 360 in degrees): what a sensor shows may be any number of turns off.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Variable:
     nominal: float = 1.0
     min: float = -math.inf
     max: float = math.inf
+    wrap: float = 0.0
     NEEDS_UNIT: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -61,6 +63,8 @@ class Variable:
                 raise ModelError(f"variable '{self.name}': {what} = {getattr(self, what)} is not finite")
         if not self.nominal > 0:
             raise ModelError(f"variable '{self.name}': nominal = {self.nominal:g} must be greater than 0")
+        if not (self.wrap >= 0 and math.isfinite(self.wrap)):
+            raise ModelError(f"variable '{self.name}': wrap = {self.wrap:g} must be the period of an angle, or 0")
         if not self.min <= self.start <= self.max:
             raise ModelError(
                 f"variable '{self.name}': start = {self.start:g} lies outside [{self.min:g}, {self.max:g}]"

@@ -28,9 +28,10 @@ from typing import Any
 import casadi as ca
 
 from observers import units
-from observers.component import SHORTEST_SAMPLE_TIME, Enumeration, Port
+from observers.component import SHORTEST_SAMPLE_TIME, Port
 from observers.model import Model, ModelError, Variable
 from observers.numerics.finite import HUGE
+from observers.status import CODE, STATUS
 
 
 @dataclass(frozen=True)
@@ -56,16 +57,40 @@ VALIDITY_HTML = (
 )
 
 
-def status(enumeration: Enumeration) -> Port:
-    """`diagnostics.status`; an observer starts with its first item."""
-    return Port(
+VERDICT = (
+    Port(
         "diagnostics.status",
-        "can the estimate be trusted?",
-        start=1,
+        "what the estimate is worth, the gravest that applies",
+        start=CODE.propagated_guess,
         kind="Enumeration",
-        enumeration=enumeration,
+        enumeration=STATUS,
         variability="discrete",
-    )
+    ),
+    Port(
+        "diagnostics.trusted",
+        "whether the estimate is claimed to be within its stated uncertainty",
+        kind="Boolean",
+        variability="discrete",
+    ),
+)
+FALSE_ALARM = Port(
+    "tuning.false_alarm",
+    "probability with which a consistency test of the innovations raises a false alarm at a sample",
+    start=1e-4,
+    min=1e-12,
+    max=0.1,
+    variability="tunable",
+)
+DEVIATION_LIMIT = Port(
+    "tuning.deviation_limit",
+    "standard deviation of an estimate, in units of nominal values, above which the status is uncertain",
+    start=0.3,
+    min=0.0,
+    variability="tunable",
+)
+RESTARTS = Port(
+    "diagnostics.restarts", "times the estimate started again so far", kind="Integer", variability="discrete"
+)
 
 
 def sample_time(owner: str, start: float) -> Port:
@@ -138,6 +163,15 @@ def judged(values: Any, offered: Any) -> tuple[Any, Any]:
     finite = ca.fabs(values) <= HUGE  # false for NaN
     valid = ca.logic_and(finite, offered)
     return valid, ca.sum1(ca.logic_and(offered, ca.logic_not(finite))) > 0
+
+
+def wrapped(model: Model, residual: Any) -> Any:
+    """A residual of the outputs (ny), those of an angle (`Variable.wrap`) brought to half a turn on either side of 0."""
+    turns = ca.DM([v.wrap for v in model.outputs])
+    if not any(v.wrap for v in model.outputs):
+        return residual
+    whole = ca.DM([v.wrap or 1.0 for v in model.outputs])
+    return ca.if_else(turns > 0, residual - whole * ca.floor(residual / whole + 0.5), residual)
 
 
 def guesses(model: Model, guess: Mapping[str, float]) -> tuple[Port, ...]:

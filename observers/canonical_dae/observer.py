@@ -31,7 +31,7 @@ from observers.canonical_dae.bdf import MOST
 from observers.canonical_dae.dae import Dae, relaxed
 from observers.canonical_dae.gain import Design, choose, reduced_pair
 from observers.canonical_dae.interpolation import HIGHEST
-from observers.canonical_dae.ports import SINGULAR, STATUS, disturbances, documentation, lambdas, structure
+from observers.canonical_dae.ports import SINGULAR, disturbances, documentation, lambdas, structure
 from observers.canonical_dae.region import Region, region
 from observers.component import Component
 from observers.model import Model, refuse
@@ -113,7 +113,7 @@ def canonical_dae(
         outputs=(
             *ports.estimates(model),
             *disturbances(model),
-            STATUS,
+            *ports.VERDICT,
             *lambdas(model, dae),
             *([fault_detector.PORT] if dae.n_lambda else []),
             *ports.innovations(model),

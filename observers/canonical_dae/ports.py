@@ -2,30 +2,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 from observers import ports
 from observers.canonical_dae.dae import Dae
 from observers.canonical_dae.gain import Gain
-from observers.component import Enumeration, Port
+from observers.component import Port
 from observers.model import Model
 
-_STATUS = Enumeration(
-    "CanonicalDaeStatus",
-    (
-        ("initial_guess", "no sample yet: the estimate is the propagated guess"),
-        ("estimating", "the estimate satisfies the last measurement"),
-        ("singular_gain", "the linearisation is not observable here: the gain is not what was asked for"),
-        ("sample_rejected", "a measurement was missing or not finite: its prediction stands in for it"),
-        (
-            "solver_failed",
-            "the DAE's step did not converge: the estimate is the prediction, lambda starts again from zero",
-        ),
-    ),
-)
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(_STATUS.items, start=1)})
-
-STATUS = ports.status(_STATUS)
 SINGULAR = Port(
     "diagnostics.singular_gains", "samples with a singular gain so far", kind="Integer", variability="discrete"
 )

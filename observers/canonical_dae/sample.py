@@ -13,13 +13,14 @@ from observers import ports
 from observers.canonical_dae import fault_detector
 from observers.canonical_dae.dae import Dae
 from observers.canonical_dae.gain import Gain
-from observers.canonical_dae.ports import CODE
 from observers.canonical_dae.steps import bdf_step, consistent, integrated
 from observers.model import Model
 from observers.numerics.exact import product
 from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
+from observers.status import CODE, worst
+from observers.status import shown as verdict
 
 CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
 
@@ -110,7 +111,7 @@ def start(method: Method) -> ca.Function:
         "x": q.guess,
         "x_filtered": q.guess,
         "before": q.guess,
-        "status": ca.DM(CODE.initial_guess),
+        "status": ca.DM(CODE.propagated_guess),
         "fault": ca.DM(fault_detector.SETTLING),
     }
     return ca.Function("start", [p, t], [state.pack(first)])
@@ -152,7 +153,18 @@ def output(method: Method) -> ca.Function:
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(method.model))
     p, t, s = ca.SX.sym("p", method.settings.total), ca.SX.sym("t"), state.unpack(z)
     residual = [s.mu[dae.n_disturbances :], s.fault] if dae.n_lambda else []
-    shown = [s.x, s.x_filtered, s.d, s.d, s.status, *residual, s.innovation, s.singular, s.rejected, s.failures]
+    shown = [
+        s.x,
+        s.x_filtered,
+        s.d,
+        s.d,
+        verdict(s.status),
+        *residual,
+        s.innovation,
+        s.singular,
+        s.rejected,
+        s.failures,
+    ]
     return ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)])
 
 
@@ -187,13 +199,11 @@ def jump(method: Method) -> ca.Function:
     d = ca.if_else(accepted, found.d, s.d)
     singular = ca.logic_not(method.gain.gamma(x, read.known, q.model, t, q.gain)[1])
     fault, above, below = _watched(method, now, mu, any_valid)
-    status: Any = CODE.estimating
-    for condition, code in (
-        (singular, CODE.singular_gain),
+    status = worst(
+        (singular, CODE.singular),
         (ca.logic_not(all_valid), CODE.sample_rejected),
         (failed, CODE.solver_failed),
-    ):
-        status = ca.if_else(condition, code, status)
+    )
 
     result = state.pack(
         {

@@ -31,7 +31,6 @@ from observers.component import Component, Port
 from observers.elementary import ports as elementary_ports
 from observers.elementary.identifiability import describe as describe_null
 from observers.elementary.iteration import iterations
-from observers.elementary.ports import CODE
 from observers.elementary.problems import METHOD, decompose
 from observers.elementary.problems import describe as describe_problems
 from observers.elementary.sample import jump, symbols
@@ -40,6 +39,8 @@ from observers.model import Model
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
+from observers.status import CODE
+from observers.status import shown as verdict
 
 
 def elementary(
@@ -94,7 +95,18 @@ def elementary(
     )
     v = symbols(model, N, settings)
     s = v.s
-    shown = [s.x, v.w, s.x_filtered, v.w, s.status, s.cost, s.iterations, s.change, s.contraction, s.visibility]
+    shown = [
+        s.x,
+        v.w,
+        s.x_filtered,
+        v.w,
+        verdict(s.status),
+        s.cost,
+        s.iterations,
+        s.change,
+        s.contraction,
+        s.visibility,
+    ]
     shown += [s.null, s.innovation, s.rejected, s.failures]
     sampled = jump(v, model, N, iterations(model, problems, N, K, nodes), first_guess is not None)
     null = describe_null(model, N, sample_time)

@@ -4,36 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from html import escape
-from types import SimpleNamespace
 
 from observers import ports
-from observers.component import Enumeration, Port
+from observers.component import Port
 from observers.elementary.iteration import contributors
 from observers.elementary.problems import METHOD, Elementary
 from observers.model import Model
 
 SMALLEST = 1e-12  # a weight: with 0 a problem would be singular
 
-STATUS = Enumeration(
-    "ElementaryStatus",
-    (
-        ("propagated_guess", "too few samples yet: the estimate is the propagated guess"),
-        ("growing_window", "the window is not full yet: the estimate rests on fewer samples"),
-        ("converged", "the last iteration changed no state by more than tuning.epsilon"),
-        ("iterating", "the iterations of this sample did not get below tuning.epsilon; the next ones go on from here"),
-        (
-            "sample_rejected",
-            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
-        ),
-        ("parameter_changed", "a model parameter was changed within the window: its older samples obey the old value"),
-        ("undetermined", "the window does not determine the direction diagnostics.null.*"),
-        ("solver_failed", "an iteration was not finite: the estimate is the prediction, a new window begins"),
-    ),
-)
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
-
 DIAGNOSTICS = (
-    ports.status(STATUS),
+    *ports.VERDICT,
     Port(
         "diagnostics.cost", "sum of squared output residuals over the window, in nominal values", variability="discrete"
     ),

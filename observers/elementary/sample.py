@@ -11,10 +11,10 @@ from observers import ports
 from observers.elementary.columns import repeated
 from observers.elementary.identifiability import least_visible
 from observers.elementary.iteration import active_nodes
-from observers.elementary.ports import CODE
 from observers.model import Model
 from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
+from observers.status import CODE, worst
 
 
 def layout(model: Model, N: int) -> Layout:
@@ -97,17 +97,15 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     # 4. What is to be said of it.
     altered = ca.logic_and(s.samples > 0, ca.sumsqr(c.model - s.model) > 0) if len(model.parameters) else 0
     changed = ca.if_else(altered, N - 1, ca.fmax(s.changed - 1, 0))
-    status = ca.if_else(full, CODE.converged, CODE.growing_window)
-    for condition, code in (
+    status = worst(
+        (ca.logic_not(full), CODE.settling),
         (change > c.epsilon, CODE.iterating),
         (ca.sum1(valid) < ny, CODE.sample_rejected),
         (changed > 0, CODE.parameter_changed),
         (visibility < c.visibility_limit, CODE.undetermined),
         (failed, CODE.solver_failed),
         (ca.logic_not(enough), CODE.propagated_guess),
-        (ca.sum1(valid) == 0, CODE.sample_rejected),
-    ):
-        status = ca.if_else(condition, code, status)
+    )
     return v.state.pack(
         {
             "x": x,

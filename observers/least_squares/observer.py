@@ -39,6 +39,7 @@ from observers.least_squares.weights import weights
 from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_unobservable
 from observers.model import Model, ModelError, refuse
 from observers.numerics.finite import HUGE
+from observers.status import shown as verdict
 
 CONTRACTION = (
     Port(
@@ -105,7 +106,7 @@ def least_squares(
         raise ValueError(f"least_squares: T = {T:g} s must be finite and at least the sample time, {sample_time:g} s")
     chosen = weights(model, line.variables, gamma, p0, measurement_noise, initial_std)
     v = steps.parts(model, line, chosen)
-    shown = [v.s.x, v.s.x_filtered, v.s.status, v.s.innovation, v.s.contraction, v.s.certified, v.s.intervals]
+    shown = [v.s.x, v.s.x_filtered, verdict(v.s.status), v.s.innovation, v.s.contraction, v.s.certified, v.s.intervals]
     shown += [v.s.rejected, v.s.failures]
     return Component(
         name=name or f"{model.name}_least_squares",
@@ -124,7 +125,7 @@ def least_squares(
         ),
         outputs=(
             *ports.estimates(model),
-            ports.status(steps.STATUS),
+            *ports.VERDICT,
             *ports.innovations(model),
             *CONTRACTION,
             *ports.COUNTERS,

@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
-from observers.component import Enumeration
 from observers.least_squares.information import information_update
 from observers.least_squares.weights import Weights
 from observers.linearisation import Linearisation
@@ -18,23 +17,7 @@ from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.riccati import UNROLLED
 from observers.numerics.runge_kutta import runge_kutta
-
-STATUS = Enumeration(
-    "LeastSquaresStatus",
-    (
-        ("propagated_guess", "no sample yet: the estimate is the propagated guess"),
-        ("corrected", "the last sample corrected the estimate"),
-        (
-            "sample_rejected",
-            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
-        ),
-        (
-            "solver_failed",
-            "a step was not finite: the estimate is the prediction without the last sample, a new interval begins",
-        ),
-    ),
-)
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
+from observers.status import CODE, worst
 
 
 @dataclass(frozen=True)
@@ -159,7 +142,7 @@ def jump(v: Parts) -> ca.Function:
         undoable=1,
         samples=ca.if_else(finite, ca.if_else(ended, 0, s.samples) + 1, 0),
         innovation=ca.if_else(valid, residual, 0),
-        status=ca.if_else(finite, ca.if_else(incomplete, CODE.sample_rejected, CODE.corrected), CODE.solver_failed),
+        status=worst((incomplete, CODE.sample_rejected), (ca.logic_not(finite), CODE.solver_failed)),
         contraction=ca.if_else(finite, factors[0], s.contraction),
         certified=ca.if_else(finite, factors[1], s.certified),
         intervals=s.intervals + ended,

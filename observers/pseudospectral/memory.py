@@ -7,8 +7,9 @@ import casadi as ca
 from observers.numerics.layout import Layout
 from observers.pseudospectral import arrival, bounded_noise
 from observers.pseudospectral.method import Method
-from observers.pseudospectral.ports import CODE
 from observers.pseudospectral.warm_start import AT_PREDICTION
+from observers.status import CODE
+from observers.status import shown as verdict
 
 
 def layout(method: Method) -> Layout:
@@ -76,6 +77,6 @@ def output(method: Method) -> ca.Function:
     state, model = layout(method), method.model
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", 2 * len(model.outputs) + len(model.inputs))
     p, t, s = ca.SX.sym("p", method.settings.total), ca.SX.sym("t"), state.unpack(z)
-    shown = [s.x, s.z, s.theta, s.x_filtered, s.z_filtered, s.theta_filtered, s.status, s.cost, s.iterations]
+    shown = [s.x, s.z, s.theta, s.x_filtered, s.z_filtered, s.theta_filtered, verdict(s.status), s.cost, s.iterations]
     shown += [s.innovation, s.conditioning, s.deviation, s.node0_residual, s.slack, s.bounds, s.rejected, s.failures]
     return ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)])

@@ -2,39 +2,9 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 from observers import ports
-from observers.component import Enumeration, Port
+from observers.component import Port
 from observers.pseudospectral.window.iteration import MOST_ITERATIONS
-
-STATUS = Enumeration(
-    "PseudospectralStatus",
-    (
-        ("propagated_guess", "too few samples yet: the estimate is the propagated guess"),
-        ("growing_window", "the window is not full yet: the estimate rests on fewer samples"),
-        ("converged", "the estimate fits a full window"),
-        ("prediction_kept", "the prediction's cost lies below tuning.cost_threshold: no solve was needed"),
-        (
-            "sample_rejected",
-            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
-        ),
-        ("solver_failed", "Gauss-Newton did not converge: the estimate is the prediction"),
-        ("undetermined", "the window does not determine the state: the estimate is the prediction"),
-        ("coarse_collocation", "the residual at node 0 exceeds its bound: N is too small for the window"),
-        ("parameter_changed", "a model parameter was changed within the window: its older samples obey the old value"),
-        (
-            "inconsistent",
-            "the rms output residual exceeds tuning.residual_limit, or bounds contradict each other: the samples do not fit the model",
-        ),
-        ("singular", "the algebraic equations hardly determine the algebraic variables somewhere in the window"),
-        (
-            "uncertain",
-            "the samples' noise leaves a state or unknown parameter open by more than tuning.deviation_limit",
-        ),
-    ),
-)
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
 
 TUNING = (
     Port(
@@ -72,13 +42,7 @@ TUNING = (
         max=1.0,
         variability="tunable",
     ),
-    Port(
-        "tuning.deviation_limit",
-        "estimated standard deviation, in units of nominal values, above which the status is uncertain",
-        start=0.3,
-        min=0.0,
-        variability="tunable",
-    ),
+    ports.DEVIATION_LIMIT,
     Port(
         "tuning.collocation_limit",
         "scaled residual at node 0 above which the status is coarse_collocation",
@@ -96,7 +60,7 @@ TUNING = (
     ),
 )
 DIAGNOSTICS = (
-    ports.status(STATUS),
+    *ports.VERDICT,
     Port(
         "diagnostics.cost",
         "integral over the window of the squared output residual, in units of the outputs' nominal values (with an arrival cost: of "

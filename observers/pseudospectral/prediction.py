@@ -9,8 +9,8 @@ from observers.numerics.finite import HUGE
 from observers.numerics.runge_kutta import runge_kutta
 from observers.pseudospectral import memory
 from observers.pseudospectral.method import Method
-from observers.pseudospectral.ports import CODE
 from observers.pseudospectral.warm_start import AT_GUESS
+from observers.status import CODE
 
 
 def flow(method: Method) -> ca.Function:

@@ -10,10 +10,10 @@ import casadi as ca
 from observers.numerics.finite import finite, kept
 from observers.pseudospectral.estimate import Estimate
 from observers.pseudospectral.method import Method
-from observers.pseudospectral.ports import CODE
 from observers.pseudospectral.problem_2 import VIOLATED, Reference, Solution
 from observers.pseudospectral.sample import Instant, Window
 from observers.pseudospectral.window import trajectory
+from observers.status import CODE, worst
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,8 @@ def quality(
     changed = _changed(method, now)
     deviation = _deviation(method, now, window, solution)
     rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
-    status = ca.if_else(window.moving + (s.k == method.samples), CODE.converged, CODE.growing_window)
-    # The later, the graver.
-    for condition, code in (
+    status = worst(
+        (ca.logic_not(window.moving + (s.k == method.samples)), CODE.settling),
         (solution.kept, CODE.prediction_kept),
         (ca.sum1(window.valid) < ny, CODE.sample_rejected),
         (node0 > q.collocation_limit, CODE.coarse_collocation),
@@ -62,9 +61,7 @@ def quality(
         (solution.failed, CODE.solver_failed),
         (regularity < q.regularity_limit if model.algebraic else 0, CODE.singular),
         (ca.logic_not(ref.enough), CODE.propagated_guess),
-        (ca.sum1(window.valid) == 0, CODE.sample_rejected),
-    ):
-        status = ca.if_else(condition, code, status)
+    )
     return Quality(status, deviation, kept(node0, s.node0_residual), changed)
 
 

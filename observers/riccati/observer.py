@@ -28,6 +28,7 @@ from observers.model import Model, refuse
 from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
 from observers.riccati.design import UNKNOWN, Given, design
+from observers.status import shown
 
 STIFF = 2.0  # h |A| beyond which Runge-Kutta gives way to the exponential step
 INITIAL_ERROR = Port(
@@ -108,7 +109,7 @@ def riccati(
         ),
         outputs=(
             *ports.estimates(model),
-            ports.status(steps.STATUS),
+            *ports.VERDICT,
             *ports.innovations(model),
             *CERTIFIED,
             *ports.COUNTERS,
@@ -128,8 +129,8 @@ def riccati(
 def _shown(v: steps.Parts, with_Q: bool) -> list[ca.MX]:
     """The outputs, in their order."""
     s, n = v.s, len(v.line.variables)
-    shown = [s.m, s.m_filtered, s.status, s.innovation, s.certified, s.rate, s.rejected, s.failures]
-    return shown + [s.Q[i * n + j] for i in range(n) for j in range(n)] * with_Q
+    columns = [s.m, s.m_filtered, shown(s.status), s.innovation, s.certified, s.rate, s.rejected, s.failures]
+    return columns + [s.Q[i * n + j] for i in range(n) for j in range(n)] * with_Q
 
 
 def _entries(n: int) -> tuple[Port, ...]:

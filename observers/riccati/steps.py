@@ -9,7 +9,6 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
-from observers.component import Enumeration
 from observers.linearisation import Linearisation
 from observers.model import Model
 from observers.numerics.finite import HUGE
@@ -20,23 +19,7 @@ from observers.riccati.certificates import NONE, Certificate, certify
 from observers.riccati.correction import correction
 from observers.riccati.design import Design
 from observers.riccati.rosenbrock import rosenbrock
-
-STATUS = Enumeration(
-    "RiccatiStatus",
-    (
-        ("propagated_guess", "no sample yet: the estimate is the propagated guess"),
-        ("corrected", "the last sample corrected the estimate"),
-        (
-            "sample_rejected",
-            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
-        ),
-        (
-            "solver_failed",
-            "a step was not finite: the estimate is the prediction without the last sample, Q starts again from Q0",
-        ),
-    ),
-)
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
+from observers.status import CODE, worst
 
 
 @dataclass(frozen=True)
@@ -145,7 +128,7 @@ def jump(v: Parts) -> ca.Function:
     finite = ca.sumsqr(ca.vertcat(m, Q_after)) < HUGE
     incomplete = ca.sum1(valid) < ny
     certified, rate = _certified(v, ca.if_else(finite, m, s.m), incomplete)
-    status = ca.if_else(incomplete, CODE.sample_rejected, CODE.corrected)
+    status = worst((incomplete, CODE.sample_rejected), (ca.logic_not(finite), CODE.solver_failed))
     m = ca.if_else(finite, m, s.m)
     after = v.state.replace(
         v.z,
@@ -155,7 +138,7 @@ def jump(v: Parts) -> ca.Function:
         before=s.m,
         undoable=1,
         innovation=innovation,
-        status=ca.if_else(finite, status, CODE.solver_failed),
+        status=status,
         certified=certified,
         rate=rate,
         rejected=s.rejected + rejected,

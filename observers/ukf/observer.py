@@ -79,7 +79,7 @@ def ukf(
         parameters=(*ports.guesses(model, guess or {}), *ports.known_parameters(model), *tuning, period),
         outputs=(
             *ports.estimates(model),
-            ports.status(steps.STATUS),
+            *ports.VERDICT,
             *ports.innovations(model),
             *(
                 Port(

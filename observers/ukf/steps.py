@@ -9,29 +9,13 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
-from observers.component import Enumeration
 from observers.model import Model
 from observers.numerics import linear
 from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
-
-STATUS = Enumeration(
-    "UkfStatus",
-    (
-        ("propagated_guess", "no sample yet: the estimate is the propagated guess"),
-        ("corrected", "the last sample corrected the estimate"),
-        (
-            "sample_rejected",
-            "a measurement was missing or not finite: the estimate is the prediction, or rests on the other outputs",
-        ),
-        (
-            "solver_failed",
-            "a step was not finite: the estimate is the prediction without the last sample, or the guess again",
-        ),
-    ),
-)
-CODE = SimpleNamespace(**{item: i for i, (item, _) in enumerate(STATUS.items, start=1)})
+from observers.status import CODE, worst
+from observers.status import shown as verdict
 
 NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
 
@@ -152,7 +136,7 @@ def jump(v: Parts) -> ca.Function:
     finite = ca.sumsqr(ca.vertcat(ca.vec(redrawn), innovation)) < HUGE
     again = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(drawn) < HUGE))
     left = ca.if_else(again, v.around(q.guess), drawn)
-    status = ca.if_else(ca.sum1(valid) < ny, CODE.sample_rejected, CODE.corrected)
+    status = worst((ca.sum1(valid) < ny, CODE.sample_rejected), (ca.logic_not(finite), CODE.solver_failed))
     after = v.state.pack(
         {
             "points": ca.vec(ca.if_else(finite, redrawn, left)),
@@ -160,7 +144,7 @@ def jump(v: Parts) -> ca.Function:
             "before": ca.if_else(again, q.guess, mean),
             "undoable": ca.DM(1),
             "innovation": kept(innovation, 0),
-            "status": ca.if_else(ca.logic_not(finite), CODE.solver_failed, status),
+            "status": status,
             "rejected": s.rejected + rejected,
             "failures": s.failures + ca.logic_not(finite),
         }
@@ -173,7 +157,7 @@ def output(v: Parts) -> ca.Function:
     s, now, weights = v.s, v.points, v.weights
     current = ca.mtimes(now, weights)
     deviation = ca.sqrt(ca.mtimes((now - ca.repmat(current, 1, v.n_points)) ** 2, weights))
-    shown = [current, s.filtered, s.status, s.innovation, deviation, s.rejected, s.failures]
+    shown = [current, s.filtered, verdict(s.status), s.innovation, deviation, s.rejected, s.failures]
     return ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)])
 
 

@@ -18,10 +18,9 @@ from observers.instance import Instance
 from observers.least_squares import least_squares
 from observers.model import Model
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import CODE
 from observers.riccati import riccati
+from observers.status import CODE
 from observers.ukf import ukf
-from observers.ukf.steps import CODE as UKF_CODE
 from reference_models.duffing import DUFFING
 from reference_models.motor import MOTOR
 from reference_models.plant import plant
@@ -116,16 +115,16 @@ def test_the_conditioning_falls_with_the_samples_that_are_missing_and_the_status
     assert conditioning[40] < usual[40] / 10  # three of nine
     assert np.all(conditioning[40:46] < usual[40:46])
     np.testing.assert_allclose(conditioning[46:], usual[46:], rtol=1e-3)  # whole again
-    assert set(status[40:]) == {CODE.converged}
+    assert set(status[40:]) == {CODE.estimating}
 
 
 def test_a_window_with_too_little_in_it_is_said_not_to_determine_the_state_and_the_prediction_kept() -> None:
     """By a limit of conditioning between that of three samples and that of the whole window."""
     conditioning, status, _ = over_a_gap_of_8({"tuning.conditioning_limit": 1e-5})
     for k in range(40, 60):
-        expected = CODE.undetermined if conditioning[k] <= 1e-5 else CODE.converged
+        expected = CODE.undetermined if conditioning[k] <= 1e-5 else CODE.estimating
         assert status[k] == expected
-    assert CODE.undetermined in status[40:43] and status[-1] == CODE.converged
+    assert CODE.undetermined in status[40:43] and status[-1] == CODE.estimating
 
 
 @pytest.mark.parametrize("kind", ["pseudospectral", "segments", "arrival cost", "ukf"])
@@ -139,7 +138,7 @@ def test_a_gap_of_three_windows_is_bridged_by_the_model_and_left_behind(kind: st
     assert errors[120:].max() < (1e-2 if kind == "ukf" else 1e-4)
     names = [port.name for port in run.component.outputs]
     status = rows[:, names.index("diagnostics.status")]
-    assert set(status[50:74]) == {(UKF_CODE if kind == "ukf" else CODE).sample_rejected}
+    assert set(status[50:74]) == {CODE.sample_rejected}
     assert run.get("diagnostics.rejected_samples") == 0 == run.get("diagnostics.solver_failures")
 
 

@@ -14,7 +14,7 @@ from cosim.results import Result
 from cosim.system import Element, System
 from demo import errors
 from observers.instance import Instance
-from observers.pseudospectral.ports import CODE
+from observers.status import CODE
 
 Catalogue = Callable[..., Result]
 
@@ -23,14 +23,14 @@ def test_example_1_with_the_sampled_cost_is_exact_to_1e_8(example: Catalogue) ->
     found = errors(example("gong_example_1"))[8:]
     assert len(found) == 492
     assert np.all(found.max(axis=0) <= [1e-8, 1e-8, 1e-7])
-    assert set(example("gong_example_1")["observer.diagnostics.status"][9:]) == {CODE.converged}
+    assert set(example("gong_example_1")["observer.diagnostics.status"][9:]) == {CODE.estimating}
 
 
 def test_example_1_is_exact_from_the_third_sample_on_while_the_window_grows(example: Catalogue) -> None:
     result = example("gong_example_1")
     assert errors(result)[2:].max() <= 1e-6
     status = result["observer.diagnostics.status"]
-    assert list(status[:10]) == [CODE.propagated_guess] * 3 + [CODE.growing_window] * 6 + [CODE.converged]
+    assert list(status[:10]) == [CODE.propagated_guess] * 3 + [CODE.settling] * 6 + [CODE.estimating]
 
 
 def test_example_1_with_the_papers_spline_has_the_splines_error(example: Catalogue) -> None:
@@ -56,7 +56,7 @@ def test_example_2_recovers_within_L_plus_1_samples_of_each_jump_and_says_so(exa
         assert found[jump + 9 : jump + 100].max() <= 1e-4
         assert set(status[jump + 1 : jump + 8]) <= {CODE.inconsistent, CODE.solver_failed}
     assert found[8:101].max() <= 1e-7
-    assert set(status[8:101]) | set(status[110:200]) | set(status[210:]) == {CODE.converged}
+    assert set(status[8:101]) | set(status[110:200]) | set(status[210:]) == {CODE.estimating}
 
 
 def test_example_3a_is_exact_to_1e_7(example: Catalogue) -> None:

@@ -19,7 +19,7 @@ from fmu_src import export
 from observers.component import Component
 from observers.numerics.runge_kutta import runge_kutta
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import CODE
+from observers.status import CODE
 from reference_models.silverbox import FMUS, GUESS, K1, K3, LEAST, MOST, OFF, SAMPLE_TIME, SILVERBOX
 from reference_models.silverbox_evaluation import AHEAD, Evaluation, evaluate, predict
 
@@ -145,9 +145,9 @@ def test_a_window_of_50_samples_alone_does_not_determine_k3_and_says_so(
     conditioning, status, k3 = (
         result[f"observer.{name}"][1:] for name in ("diagnostics.conditioning", "diagnostics.status", "filtered.k3")
     )
-    solved = settled & np.isin(status, [CODE.converged, CODE.uncertain])
+    solved = settled & np.isin(status, [CODE.estimating, CODE.uncertain])
     error = np.abs(k3 / K3 - 1)
-    certain = settled & (status == CODE.converged)
+    certain = settled & (status == CODE.estimating)
     assert 0.1 < np.mean(status == CODE.uncertain) < 0.5
     assert np.quantile(error[certain], 0.9) < 0.8 * np.quantile(error[solved], 0.9)
     poor, fair, good = (
@@ -159,5 +159,5 @@ def test_a_window_of_50_samples_alone_does_not_determine_k3_and_says_so(
     limited = replayed(component, tmp_path, overrides={"tuning.conditioning_limit": 1e-5})
     status, k3 = limited["observer.diagnostics.status"][1:], limited["observer.filtered.k3"][1:]
     assert 0.1 < np.mean(status == CODE.undetermined) < 0.5
-    trusted = settled & (status == CODE.converged)
+    trusted = settled & (status == CODE.estimating)
     assert np.quantile(np.abs(k3[trusted] / K3 - 1), 0.9) < 0.8 * np.quantile(error[solved], 0.9)

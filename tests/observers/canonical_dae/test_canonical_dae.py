@@ -12,10 +12,10 @@ from scipy.linalg import solve_continuous_are
 from observers.canonical_dae import canonical_dae, fault_detector
 from observers.canonical_dae.dae import relaxed
 from observers.canonical_dae.gain import exact, regional
-from observers.canonical_dae.ports import CODE
 from observers.canonical_dae.region import region
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
+from observers.status import CODE
 from reference_models.double_integrator import MASS_WITH_UNKNOWN_FORCE
 from reference_models.motor import MOTOR
 

@@ -12,8 +12,8 @@ from scipy.linalg import expm
 import linear_models
 from observers.instance import Instance
 from observers.least_squares import least_squares
-from observers.least_squares.steps import CODE
 from observers.model import Model, ModelError, Variable
+from observers.status import CODE
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant

@@ -18,13 +18,13 @@ from moving_window import coupled, linear, sampled
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import CODE
+from observers.status import CODE
 from reference_models.plant import plant
 from reference_models.rlc import RLC
 from rlc_branches import STARTS
 
 TS = 0.2
-TRUSTED = {CODE.growing_window, CODE.converged}
+TRUSTED = {CODE.settling, CODE.estimating}
 NAMES = ("x1", "x2", "x3")
 Make = Callable[..., object]
 
@@ -54,7 +54,7 @@ def test_example_6_is_exact_from_the_first_estimate_on_every_branch_and_says_whe
     near = {"guess.x1": start[0] + 0.1, "guess.x2": 0.0, "guess.x3": start[2] + 0.05}
     o = catalogue_slave("rlc_pseudospectral").initialize(near)
     rows = to_the_end(p, o)
-    assert [status for status, _ in rows[1:8]] == [CODE.growing_window] * 4 + [CODE.converged] * 3
+    assert [status for status, _ in rows[1:8]] == [CODE.settling] * 4 + [CODE.estimating] * 3
     trusted = [error for status, error in rows if status in TRUSTED]
     assert len(trusted) > 8 and max(trusted) < 1e-5
     first_warning = next(i for i, (status, _) in enumerate(rows[1:], start=1) if status not in TRUSTED)
@@ -114,7 +114,7 @@ def test_two_algebraic_variables_with_an_unknown_parameter_and_one_of_them_measu
     component = pseudospectral(TWO, sample_time=0.1, N=N, L=8, segments=segments)
     errors, o = coupled(TWO, component, 120, 0.1, lambda t: amplitude * np.sin(t), guess=guess)
     assert errors[8:].max() < 1e-6
-    assert o.get("diagnostics.solver_failures") == 0 and o.get("diagnostics.status") == CODE.converged
+    assert o.get("diagnostics.solver_failures") == 0 and o.get("diagnostics.status") == CODE.estimating
 
 
 def linear_dae():
@@ -188,7 +188,7 @@ def test_the_circuit_under_bounded_noise_is_estimated_inside_its_tube(segments) 
             o.step(0.1 * k, 0.1)
             if k >= 10:
                 errors.append(o.get("filtered.x2") - true)
-            if noise_bound and o.get("diagnostics.status") == CODE.converged:
+            if noise_bound and o.get("diagnostics.status") == CODE.estimating:
                 low, high = o.get("diagnostics.lower"), o.get("diagnostics.upper")
                 assert low <= true <= high and low - 1e-6 <= o.get("filtered.x2") <= high + 1e-6
         rms[noise_bound] = np.sqrt(np.mean(np.square(errors)))

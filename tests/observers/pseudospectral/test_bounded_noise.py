@@ -17,7 +17,7 @@ from moving_window import NONLINEAR
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import CODE
+from observers.status import CODE
 from reference_models.duffing import DUFFING_KNOWN
 from reference_models.plant import plant
 
@@ -124,7 +124,7 @@ def test_with_a_huge_margin_the_tube_is_the_noises_bound_around_every_sample() -
 def test_the_estimated_output_lies_in_the_tube() -> None:
     y, _ = noisy(120)
     rows, observer = followed(pseudospectral(DUFFING_KNOWN, **LONG, noise_bound=1.0), y)
-    solved = np.isin(rows[:, 3], [CODE.converged, CODE.uncertain])
+    solved = np.isin(rows[:, 3], [CODE.estimating, CODE.uncertain])
     assert solved.sum() > 60
     inside = (rows[:, 0] >= rows[:, 1] - 1e-5) & (rows[:, 0] <= rows[:, 2] + 1e-5)
     assert inside[solved].all()

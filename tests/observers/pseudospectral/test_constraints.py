@@ -13,7 +13,7 @@ from moving_window import rotation
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import CODE
+from observers.status import CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave

@@ -11,7 +11,7 @@ from moving_window import NONLINEAR, A, B, coupled, linear, noisy_rows
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import CODE
+from observers.status import CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 
@@ -52,7 +52,7 @@ def test_on_a_linear_model_with_noise_the_estimate_is_the_least_squares_one(damp
             expected = closed_form(y, u, k - L, L, Ts)
             found = [run.get(f"filtered.x{i}") for i in (1, 2, 3)]
             np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max() + 1e-9)
-            assert run.get("diagnostics.status") == CODE.converged
+            assert run.get("diagnostics.status") == CODE.estimating
 
 
 @pytest.mark.parametrize("structure", [dict(N=10, L=8), dict(N=16, L=12)], ids=["one function", "tiles"])
@@ -200,7 +200,7 @@ def test_a_measurement_that_is_not_finite_is_rejected_counted_and_predicted_over
     statuses = go_on(p, o, 20, 1, lambda y, k: bad)
     assert statuses == [CODE.sample_rejected]
     assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-9
-    assert go_on(p, o, 21, 30) == [CODE.converged] * 30
+    assert go_on(p, o, 21, 30) == [CODE.estimating] * 30
     assert o.get("diagnostics.rejected_samples") == 1
     assert abs(o.get("filtered.theta") - 0.4) < 1e-8
 
@@ -211,7 +211,7 @@ def test_an_outage_longer_than_the_window_is_bridged_by_the_model_and_recovered_
     assert set(statuses) == {CODE.sample_rejected}
     assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-7
     after = go_on(p, o, 35, 20)
-    assert after[-1] == CODE.converged and o.get("diagnostics.rejected_samples") == 15
+    assert after[-1] == CODE.estimating and o.get("diagnostics.rejected_samples") == 15
     assert np.isfinite(o.outputs()).all() and abs(o.get("estimate.x2") - p.get("x.x2")) < 1e-8
 
 
@@ -223,7 +223,7 @@ def test_a_solve_that_does_not_converge_keeps_the_prediction_is_counted_and_the_
     assert statuses == [CODE.solver_failed] and o.get("filtered.x1") == prediction
     assert o.get("diagnostics.solver_failures") == 1
     o.set("tuning.iteration_limit", 40)
-    assert go_on(p, o, 21, 30)[-1] == CODE.converged
+    assert go_on(p, o, 21, 30)[-1] == CODE.estimating
     assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-9
 
 
@@ -232,7 +232,7 @@ def test_absurd_measurements_never_make_an_output_that_is_not_finite():
     rng = np.random.default_rng(1)
     go_on(p, o, 20, 60, lambda y, k: float(rng.choice([1e149, -1e80, 1e9, np.nan, y])))
     assert np.isfinite(o.outputs()).all()
-    assert go_on(p, o, 80, 40)[-1] == CODE.converged
+    assert go_on(p, o, 80, 40)[-1] == CODE.estimating
     assert abs(o.get("filtered.theta") - 0.4) < 1e-7
 
 
@@ -282,7 +282,7 @@ def test_a_window_too_long_for_its_order_is_said():
         statuses.add(int(o.get("diagnostics.status")))
         if o.get("diagnostics.status") == CODE.coarse_collocation:
             assert o.get("diagnostics.node0_residual") > (5 - 1) ** -0.5
-    assert CODE.converged not in statuses
+    assert CODE.estimating not in statuses
 
 
 def test_before_enough_samples_the_estimate_is_the_propagated_guess():
@@ -362,7 +362,7 @@ def test_no_outlier_locks_the_observer_out(outlier):
     go_on(p, o, 20, 3, lambda y, k: y + outlier if k != 21 else y - outlier)
     go_on(p, o, 23, 60)
     assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-8
-    assert o.get("diagnostics.status") == CODE.converged
+    assert o.get("diagnostics.status") == CODE.estimating
 
 
 def test_a_guess_from_which_the_prediction_overflows_is_left_behind():
@@ -440,9 +440,9 @@ def test_with_the_spline_cost_a_flat_guess_is_never_taken_for_data(missing):
         o.set("y", np.nan if k in missing else p.get("y"))
         p.step(0.1 * k, 0.1)
         o.step(0.1 * k, 0.1)
-        if o.get("diagnostics.status") == CODE.converged:
+        if o.get("diagnostics.status") == CODE.estimating:
             assert abs(o.get("filtered.x1") - true) < 5e-3
-    assert o.get("diagnostics.status") == CODE.converged
+    assert o.get("diagnostics.status") == CODE.estimating
 
 
 @pytest.mark.parametrize(("N", "L"), [(3, 8), (4, 8)])
@@ -454,7 +454,7 @@ def test_an_order_too_low_for_the_window_is_said_where_it_costs_most(N, L):
         o.set("y", p.get("y"))
         p.step(0.1 * k, 0.1)
         o.step(0.1 * k, 0.1)
-        if o.get("diagnostics.status") == CODE.converged:
+        if o.get("diagnostics.status") == CODE.estimating:
             wrong.append(abs(o.get("filtered.theta") - true))
     assert max(wrong, default=0.0) < 1.0  # up to 7 with the paper's bound on the residual as the limit
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from observers.pseudospectral.ports import CODE
+from observers.status import CODE
 from tools import ROOT, TESTS
 
 NAME = "duffing_pseudospectral"

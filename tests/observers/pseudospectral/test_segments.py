@@ -13,8 +13,8 @@ from moving_window import NONLINEAR, coupled, linear, noisy_rows, sampled
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
-from observers.pseudospectral.ports import CODE
 from observers.pseudospectral.window import problem as problem
+from observers.status import CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
@@ -167,7 +167,7 @@ def test_while_the_window_grows_segments_without_samples_wait_and_the_estimate_i
         o.step(0.1 * k, 0.1)
         statuses.append(int(o.get("diagnostics.status")))
         errors.append(np.abs([o.get(f"filtered.{v}") for v in ("x1", "x2", "theta")] - np.array(true)).max())
-    assert statuses == [CODE.propagated_guess] * 2 + [CODE.growing_window] * 6 + [CODE.converged] * 4
+    assert statuses == [CODE.propagated_guess] * 2 + [CODE.settling] * 6 + [CODE.estimating] * 4
     assert max(errors[2:]) < 1e-5 and o.get("diagnostics.solver_failures") == 0
 
 
@@ -207,7 +207,7 @@ def test_a_larger_model_in_segments_is_estimated_as_a_chain_of_tiles():
     guess = {f"guess.{name}": 0.0 for name in names}
     observer = pseudospectral(model, sample_time=0.1, N=6, L=12, segments=4)
     errors, run = coupled(model, observer, 25, 0.1, guess=guess)
-    assert errors[12:].max() < 1e-4 and run.get("diagnostics.status") == CODE.converged
+    assert errors[12:].max() < 1e-4 and run.get("diagnostics.status") == CODE.estimating
 
 
 @pytest.mark.parametrize(

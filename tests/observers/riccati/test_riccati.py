@@ -13,7 +13,7 @@ from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.riccati import riccati
 from observers.riccati.certificates import NONE
-from observers.riccati.steps import CODE
+from observers.status import CODE
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant
 
