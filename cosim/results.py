@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.errors import suggest
+from cosim.whole import whole
 
 
 class Message(NamedTuple):
@@ -76,8 +77,8 @@ def write_csv(result: Result, path: Path) -> None:
 
 
 def write_columns(columns: Mapping[str, np.ndarray], path: Path) -> None:
-    """Write columns (n,) by name, `time` first."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    """Write columns (n,) by name, `time` first; the file is there whole or not at all."""
+    with whole(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))

@@ -11,7 +11,6 @@ import csv
 import hashlib
 import json
 import logging
-import os
 import signal
 import tempfile
 import threading
@@ -33,6 +32,7 @@ from cosim.master import count_steps, start_values
 from cosim.report.estimates import Pair, paired
 from cosim.system import read_ssp
 from cosim.system.system import ResolvedSystem, find_variable, resolve
+from cosim.whole import whole
 
 QUESTION, RUNS, TABLE = "campaign.json", "runs", "runs.csv"
 CONNECT_TIMEOUT = 10.0  # [s] for a scheduler to answer
@@ -171,9 +171,8 @@ def _open_folder(out: Path, question: Mapping[str, Any]) -> None:
     path = out / QUESTION
     if not path.exists():
         (out / RUNS).mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial")
-        partial.write_text(json.dumps(asked, indent=1) + "\n", encoding="utf-8")
-        os.replace(partial, path)
+        with whole(path) as partial:
+            partial.write_text(json.dumps(asked, indent=1) + "\n", encoding="utf-8")
         return
     try:
         held = json.loads(path.read_text(encoding="utf-8"))
@@ -267,11 +266,9 @@ def _write_table(outcomes: list[Outcome], path: Path) -> None:
     """One line a run: number, failure, varied values, errors and counts; empty where a run failed."""
     heads = ["run", "failure", *outcomes[0].values]
     columns = list(dict.fromkeys(name for outcome in outcomes for name in outcome.numbers))
-    partial = path.with_suffix(".partial")
-    with partial.open("w", newline="", encoding="utf-8") as file:
+    with whole(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([*heads, *columns])
         for outcome in outcomes:
             numbers = [outcome.numbers.get(name, "") for name in columns]
             writer.writerow([outcome.run, outcome.failure, *outcome.values.values(), *numbers])
-    os.replace(partial, path)

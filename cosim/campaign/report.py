@@ -16,6 +16,7 @@ from cosim.campaign.run import Outcome
 from cosim.report.estimates import Pair
 from cosim.report.figures import COLOURS, ESTIMATE, TRUTH
 from cosim.report.page import Table, html_table, write_page
+from cosim.whole import whole
 
 FIGURE = "figure.svg"
 SHOWN_FAILURES = 20
@@ -141,7 +142,8 @@ def write_campaign_report(campaign: Campaign, out: Path) -> None:
         varied = ", ".join(done[0].values) or "nothing"
         parts += [f"<p>Varied: {escape(varied)}. {settled_means(campaign)}</p>", html_table(summary(campaign))]
         drawing = svg(figure(campaign))
-        (out / FIGURE).write_text(drawing, encoding="utf-8")
+        with whole(out / FIGURE) as partial:
+            partial.write_text(drawing, encoding="utf-8")
         parts.append(drawing[drawing.index("<svg") :])
     failures = [outcome for outcome in campaign.outcomes if outcome.failure]
     if failures:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -18,6 +17,7 @@ from cosim.master import run
 from cosim.master.slave import RunError
 from cosim.report.estimates import pairs
 from cosim.results import Result
+from cosim.whole import whole
 
 SETTLE = 6.0  # [s]; Gong, Ross & Kang's Example 5 has a window of 5 s
 ROWS = 2000  # of the trajectories that are kept of a run, at most
@@ -132,12 +132,10 @@ def save(outcome: Outcome, path: Path) -> None:
     """Write an outcome so that the file is there whole or not at all, whenever the process is killed."""
     head = {"run": outcome.run, "values": dict(outcome.values), "failure": outcome.failure}
     text = json.dumps(head | {"numbers": dict(outcome.numbers)})
-    partial = path.with_suffix(".partial")
-    with partial.open("wb") as file:
+    with whole(path) as partial, partial.open("wb") as file:
         np.savez_compressed(
             file, head=np.array(text), time=outcome.time, truths=outcome.truths, estimates=outcome.estimates
         )
-    os.replace(partial, path)
 
 
 def load(path: Path) -> Outcome:

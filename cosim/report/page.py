@@ -11,6 +11,7 @@ from plotly.offline import get_plotlyjs
 
 from cosim.report.figures import figures
 from cosim.results import Result
+from cosim.whole import whole
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; margin: 2rem auto; max-width: 64rem;
@@ -63,12 +64,13 @@ def write_report(
 def write_page(path: Path, title: str, parts: Sequence[str], script: str = "") -> None:
     """Write one self-contained HTML file of the given `parts` (HTML); the title is plain text."""
     body = "\n".join(parts)
-    path.write_text(
-        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>{_STYLE}</style>\n<script>{script}</script>\n</head>\n<body>\n{body}\n</body>\n</html>\n",
-        encoding="utf-8",
-    )
+    with whole(path) as partial:
+        partial.write_text(
+            f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<style>{_STYLE}</style>\n<script>{script}</script>\n</head>\n<body>\n{body}\n</body>\n</html>\n",
+            encoding="utf-8",
+        )
 
 
 def html_table(table: Table) -> str:
