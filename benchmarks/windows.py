@@ -83,7 +83,7 @@ def clean() -> Experiment:
 def record() -> Experiment:
     """The beginning of the Silverbox's record."""
     log = read_log(LOG)
-    samples = np.column_stack([log.column(name)[:SILVERBOX_SAMPLES] for name in ("y", "u")])
+    samples = np.column_stack([log.numbers(name)[:SILVERBOX_SAMPLES] for name in ("y", "u")])
     outputs = ("estimate.x1", "estimate.x2", "estimate.k1", "estimate.k3")
     return Experiment(samples, silverbox.SAMPLE_TIME, ("y", "u"), outputs, {})
 

@@ -11,9 +11,11 @@ import typer
 from rich.text import Text
 
 from commands.console import fail, late_progress, out, split_assignments
+from commands.logs import Decimal, Encoding, Missing, Separator, SkipBadRows, SkipLines, how_read, reading
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master.slave import RunError
-from cosim.replay import replay as replays
+from cosim.replay import Replay
+from cosim.replay import replay as perform
 from cosim.report.page import Table, write_report
 from cosim.results import write_csv
 
@@ -25,7 +27,7 @@ def replay(
     log: Annotated[
         Path,
         typer.Argument(
-            help="The recorded file, .csv or .csv.gz: columns named like the FMU's inputs, and 'time' in seconds.",
+            help="The recorded file, .csv or .csv.gz: columns named like the FMU's inputs, and 'time'; units as in 'v [mV]'.",
             show_default=False,
         ),
     ],
@@ -41,7 +43,11 @@ def replay(
     ] = None,
     mapped: Annotated[
         list[str] | None,
-        typer.Option("--map", metavar="INPUT=COLUMN", help="The column that feeds an input. May be repeated."),
+        typer.Option(
+            "--map",
+            metavar="INPUT=COLUMN",
+            help="The column that feeds an input, or holds the time (time=COLUMN). May be repeated.",
+        ),
     ] = None,
     assignments: Annotated[
         list[str] | None,
@@ -51,6 +57,12 @@ def replay(
             help="Start value of a parameter, or the constant value of an input without a column. May be repeated.",
         ),
     ] = None,
+    separator: Separator = None,
+    decimal: Decimal = None,
+    encoding: Encoding = None,
+    missing: Missing = None,
+    skip_lines: SkipLines = 0,
+    skip_bad_rows: SkipBadRows = False,
 ) -> None:
     """Run an observer over a recorded file; write estimates.csv (all outputs at each sample instant) and report.html.
 
@@ -61,11 +73,12 @@ def replay(
     directory = out_directory or Path("results") / f"{fmu.stem}_replay"
     try:
         with late_progress() as progress:
-            made = replays.replay(
+            made = perform(
                 fmu,
                 log,
                 sample_time=sample_time,
                 mapping=split_assignments(mapped, "--map", "INPUT=COLUMN"),
+                reading=reading(separator, decimal, encoding, missing, skip_lines, skip_bad_rows),
                 overrides=split_assignments(assignments, "--set", "VARIABLE=VALUE"),
                 progress=progress,
             )
@@ -102,11 +115,17 @@ def _keep_partial(error: RunError, directory: Path) -> NoReturn:
     fail(f"{error} (the record up to there is in {table})", 1)
 
 
-def _facts(made: replays.Replay) -> list[str]:
+def _facts(made: Replay) -> list[str]:
     """What a reader must know of how the log met the FMU, a sentence each."""
     taken = made.sampling
     there = taken.rows >= 0
     facts = [f"{len(taken.rows)} samples of {taken.sample_time:g} s from t = {taken.start:g} s."]
+    facts += how_read(made.log, made.rows)
+    facts += [f"Input {name}: {given} became {wanted}." for name, (given, wanted) in made.signals.converted.items()]
+    facts += [
+        f"Input {name} has no unit: its column, in {unit}, was taken as it is."
+        for name, unit in made.signals.unchecked.items()
+    ]
     if not there.all():
         facts.append(f"{int(np.sum(~there))} of them have no row within half a sample time: given as missing.")
     largest = np.abs(taken.offsets).max() / taken.sample_time
@@ -122,6 +141,9 @@ def _facts(made: replays.Replay) -> list[str]:
     for name, count in made.empty.items():
         if count:
             facts.append(f"Input {name} was missing (NaN) in {count} samples.")
+    for name, count in made.held.items():
+        if count:
+            facts.append(f"Input {name} was empty in {count} samples and kept its last value.")
     if made.ignored:
         facts.append(f"Columns that feed no input were ignored: {', '.join(made.ignored)}.")
     if made.kept:
@@ -132,5 +154,6 @@ def _facts(made: replays.Replay) -> list[str]:
     return facts
 
 
-def _inputs(made: replays.Replay) -> Table:
-    return Table(("input", "column", "missing samples"), [(n, c, str(made.empty[n])) for n, c in made.columns.items()])
+def _inputs(made: Replay) -> Table:
+    rows = [(n, c, str(made.empty[n] + made.held.get(n, 0))) for n, c in made.columns.items()]
+    return Table(("input", "column", "missing samples"), rows)

@@ -1,1 +1,5 @@
 """An observer over a recorded file."""
+
+from cosim.replay.replay import Replay, replay
+
+__all__ = ["Replay", "replay"]

@@ -7,18 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from fmpy.model_description import ModelDescription, ModelVariable
+from fmpy.model_description import ModelDescription
 
-from cosim.errors import ExperimentError, suggest
+from cosim.errors import ExperimentError
 from cosim.fmu import Value, read_description, typed_value
 from cosim.master import run
-from cosim.replay.log import Log, read_log
-from cosim.replay.sampling import Sampling, sampling, times
+from cosim.replay.log import Log, Rows, read_log
+from cosim.replay.reading import Reading
+from cosim.replay.sampling import Sampling, sampling
+from cosim.replay.signals import Signals, columns_of, converters, inputs_of, measured, read, signals, time_column, times
 from cosim.results import Result
 from cosim.system import Element, System
 
 ELEMENT = "observer"  # the FMU's name in the record
-VALID = "measurement_valid."  # an input of this prefix says whether the measurement of that name counts; it starts at 1
+MOST_RECORDED = 60_000_000  # numbers in the record
 
 
 @dataclass(frozen=True)
@@ -29,20 +31,28 @@ class Replay:
         result: the FMU's outputs, `observer.<output>`: row k is of time start + k Ts and rests on the samples before it; the last
             row lies one sample time after the last sample.
         sampling: which row was the sample of which instant.
-        recorded: the number of rows in the log.
+        recorded: the number of rows in the log, without those that were skipped.
+        log: how the file was read.
+        rows: what was skipped of it.
+        signals: the inputs at the rows, and what became of units and empty cells.
         columns: the column that fed each input.
         ignored: the columns that fed none.
         kept: the inputs without a column, which kept the value that they were set to or start at.
         empty: how many of the samples of each input were NaN: empty cells and instants without a row.
+        held: how many of the samples of a known input were empty cells, and hold the last value.
     """
 
     result: Result
     sampling: Sampling
     recorded: int
+    log: Log
+    rows: Rows
+    signals: Signals
     columns: Mapping[str, str]
     ignored: list[str]
     kept: list[str]
     empty: Mapping[str, int]
+    held: Mapping[str, int]
 
 
 def replay(
@@ -51,6 +61,7 @@ def replay(
     *,
     sample_time: float | None = None,
     mapping: Mapping[str, str] | None = None,
+    reading: Reading | None = None,
     overrides: Mapping[str, Value] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Replay:
@@ -58,34 +69,42 @@ def replay(
 
     The FMU samples at start + k Ts, where start is the time of the first row and Ts is its own: its parameter `sample_time`, or
     the step size of its default experiment. The sample of an instant is the row recorded nearest to it, at most Ts / 2 away;
-    the others are left out. An empty or NaN cell is given to the FMU as NaN. At an instant without a row the measurements are
-    NaN and the other inputs keep their last value; measurements are the inputs that have a `measurement_valid.<name>` beside
-    them, or all inputs where the FMU has no such inputs.
+    the others are left out. At an empty cell and at an instant without a row a measurement is NaN, and any other input keeps
+    its last value; measurements are the inputs that have a `measurement_valid.<name>` beside them, or all inputs where the FMU
+    has no such inputs. A unit in a column's head, "y [mV]", or below it is converted into that of the input.
 
     Args:
         fmu: the FMU.
-        log: CSV, also compressed (.csv.gz), with columns named like the FMU's inputs and a column `time` [s]; those of Boolean
-            inputs hold true and false, or 1 and 0.
+        log: CSV, also compressed (.csv.gz), with columns named like the FMU's inputs and a column `time`, in s or in the unit of
+            its head or as ISO 8601; those of Boolean inputs hold true and false, or 1 and 0.
         sample_time: time between the rows of a log without a column `time` [s]; the first is then of time 0.
-        mapping: the column of an input whose name is another, `{"y": "V2"}`.
+        mapping: the column of an input, or of the time, whose name is another, `{"y": "V2", "time": "t"}`.
+        reading: how the file is written, where it does not tell.
         overrides: start values of parameters; the constant values of inputs without a column.
         progress: called now and then with the number of steps done and of all.
 
     Raises:
         SystemFileError: the FMU is not sound.
         ExperimentError: the log cannot be read, lacks a column, or its times do not ascend or do not suit the FMU's sample time; an
-            unknown or unfit override or mapping.
+            unknown or unfit override or mapping, a unit that is not the input's.
         cosim.master.slave.RunError: the FMU failed; `partial` of the error has the rows up to there.
     """
-    fmu, log, overrides = Path(fmu).resolve(), Path(log), overrides or {}
+    fmu, overrides, mapping = Path(fmu).resolve(), overrides or {}, mapping or {}
     description = read_description(fmu)
-    recorded = read_log(log)
-    inputs = {v.name: v for v in description.modelVariables if v.causality == "input" and v.type != "String"}
-    columns = _columns(recorded, inputs, mapping or {}, overrides)
-    taken = sampling(recorded, times(recorded, sample_time), _sample_time(description, overrides))
-    signals = {name: _signal(recorded, inputs[name], column, taken.rows, inputs) for name, column in columns.items()}
+    found = read_log(Path(log), reading)
+    inputs = inputs_of(description)
+    columns = columns_of(found, inputs, mapping, overrides)
+    instants = time_column(found, mapping, sample_time)
+    rows = read(found, instants, converters(found, inputs, columns))
+    taken = sampling(found.path, times(found, instants, rows, sample_time), _sample_time(description, overrides))
+    _check_size(found, taken, description)
+    made = signals(found, description, inputs, columns, rows)
+    fed = {
+        name: _at_instants(values, taken.rows, measured(name, inputs) and inputs[name].type == "Real")
+        for name, values in made.values.items()
+    }
     system = System(
-        f"{fmu.stem} over {log.name}",
+        f"{fmu.stem} over {found.path.name}",
         {ELEMENT: Element(fmu)},
         start=taken.start,
         stop=taken.start + len(taken.rows) * taken.sample_time,
@@ -94,42 +113,34 @@ def replay(
     result = run(
         system,
         overrides={f"{ELEMENT}.{name}": value for name, value in overrides.items()},
-        inputs={f"{ELEMENT}.{name}": values for name, values in signals.items()},
+        inputs={f"{ELEMENT}.{name}": values for name, values in fed.items()},
         progress=progress,
     )
-    used = {"time", *columns.values()}
+    used = {column.head for column in (*columns.values(), instants) if column is not None}
+    there = taken.rows[taken.rows >= 0]
     return Replay(
         result=result,
         sampling=taken,
-        recorded=len(recorded.rows),
-        columns=columns,
-        ignored=[name for name in recorded.names if name not in used],
+        recorded=len(rows.lines),
+        log=found,
+        rows=rows,
+        signals=made,
+        columns={name: column.head for name, column in columns.items()},
+        ignored=[head for head in found.heads if head not in used],
         kept=[name for name in inputs if name not in columns],
-        empty={name: int(np.isnan(values[:-1]).sum()) for name, values in signals.items()},
+        empty={name: int(np.isnan(values[:-1]).sum()) for name, values in fed.items()},
+        held={name: int(empty[there].sum()) for name, empty in made.missing.items()},
     )
 
 
-def _columns(
-    log: Log, inputs: Mapping[str, ModelVariable], mapping: Mapping[str, str], overrides: Mapping[str, Value]
-) -> dict[str, str]:
-    """The column of each input that has one."""
-    for name, column in mapping.items():
-        if name not in inputs:
-            raise ExperimentError(f"the FMU has no input '{name}' to map; {suggest(name, inputs)}")
-        if column not in log.names:
-            raise ExperimentError(f"{log.path}: there is no column '{column}'; {suggest(column, log.names)}")
-    columns = {name: mapping.get(name, name) for name in inputs if name in mapping or name in log.names}
-    for name in inputs:
-        if name not in columns and name not in overrides and not name.startswith(VALID):
-            raise ExperimentError(
-                f"{log.path}: there is no column for the input '{name}' among {', '.join(log.names)}; name one by "
-                f"--map {name}=COLUMN, or give a constant by --set {name}=VALUE"
-            )
-        if name in columns and name in overrides:
-            raise ExperimentError(f"input '{name}' is set and has the column '{columns[name]}': only one is possible")
-    if not columns:
-        raise ExperimentError(f"{log.path}: no column feeds an input of the FMU")
-    return columns
+def _check_size(log: Log, taken: Sampling, description: ModelDescription) -> None:
+    """Refuse a record that would not fit into memory, such as that of a log with one time far beyond the others."""
+    count = sum(v.causality == "output" and v.type != "String" for v in description.modelVariables)
+    if len(taken.rows) * max(count, 1) > MOST_RECORDED:
+        raise ExperimentError(
+            f"{log.path}: {len(taken.rows)} samples of {taken.sample_time:g} s with {count} outputs each make more than "
+            f"{MOST_RECORDED} numbers: replay parts of it"
+        )
 
 
 def _sample_time(description: ModelDescription, overrides: Mapping[str, Value]) -> float:
@@ -157,23 +168,10 @@ def _sample_time(description: ModelDescription, overrides: Mapping[str, Value]) 
     return found
 
 
-def _signal(
-    log: Log, variable: ModelVariable, column: str, rows: np.ndarray, inputs: Mapping[str, ModelVariable]
-) -> np.ndarray:
-    """The values of an input at the sample instants and one sample time after the last, (n + 1,)."""
-    recorded = log.column(column, truth=variable.type == "Boolean")
-    if variable.type != "Real":
-        wrong = ~np.isin(recorded, (0, 1)) if variable.type == "Boolean" else np.mod(recorded, 1) != 0
-        if wrong.any():
-            first = int(np.argmax(wrong))
-            cell = log.rows[first][log.names.index(column)]
-            raise ExperimentError(
-                f"{log.path}, line {log.lines[first]}: '{variable.name}' is {variable.type}, and column '{column}' holds '{cell}'"
-            )
+def _at_instants(recorded: np.ndarray, rows: np.ndarray, missing: bool) -> np.ndarray:
+    """The values at the sample instants and one sample time after the last, (n + 1,); NaN at those without a row if `missing`."""
     taken = np.append(rows, -1)
     values = recorded[np.maximum.accumulate(taken)]  # the rows ascend: where there is none (-1), the last one
-    known = {name.removeprefix(VALID) for name in inputs if name.startswith(VALID)}
-    measured = variable.name in known if known else True
-    if measured and variable.type == "Real":
+    if missing:
         values[taken < 0] = np.nan
     return values

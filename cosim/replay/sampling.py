@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from cosim.errors import ExperimentError
 from cosim.master import MOST_STEPS
-from cosim.replay.log import Log
 
 COARSER = 1.01  # times the sample time: a log with a longer interval between its rows (median) leaves samples out
 RESOLUTION = 1e-7  # of the sample time, that the doubles of the time column must resolve
@@ -31,48 +31,23 @@ class Sampling:
     offsets: np.ndarray
 
 
-def times(log: Log, sample_time: float | None) -> np.ndarray:
-    """The times of the rows [s], (n,): the column `time`, or one row each `sample_time`.
-
-    Raises:
-        ExperimentError: neither or both, a missing time, or one that does not come after the one before.
-    """
-    if sample_time is not None:
-        if "time" in log.names:
-            raise ExperimentError(f"{log.path} has a column 'time': leave --sample-time out")
-        if not (np.isfinite(sample_time) and sample_time > 0):
-            raise ExperimentError(f"--sample-time {sample_time:g} must be positive and finite")
-        return np.arange(len(log.rows)) * sample_time
-    if "time" not in log.names:
-        raise ExperimentError(f"{log.path} has no column 'time': give the time between its rows by --sample-time")
-    found = log.column("time")
-    for i, time in enumerate(found):
-        if not np.isfinite(time):
-            raise ExperimentError(f"{log.path}, line {log.lines[i]}: the time is missing or not finite")
-        if i and not time > found[i - 1]:
-            raise ExperimentError(
-                f"{log.path}, line {log.lines[i]}: time {time:.10g} does not come after {found[i - 1]:.10g}, the one before"
-            )
-    return found
-
-
-def sampling(log: Log, time: np.ndarray, sample_time: float) -> Sampling:
-    """The rows of `log`, recorded at `time`, that an FMU takes which samples every `sample_time` [s].
+def sampling(log: Path, time: np.ndarray, sample_time: float) -> Sampling:
+    """The rows of the file `log`, recorded at `time` (n,) [s], that an FMU takes which samples every `sample_time` [s].
 
     Raises:
         ExperimentError: the log is coarser than the sample time, longer than MOST_STEPS, or its times too large to resolve it.
     """
     if np.spacing(np.abs(time).max()) > RESOLUTION * sample_time:
         raise ExperimentError(
-            f"{log.path}: times as large as {np.abs(time).max():.10g} s are too coarse in double precision for a sample time "
+            f"{log}: times as large as {np.abs(time).max():.10g} s are too coarse in double precision for a sample time "
             f"of {sample_time:g} s: subtract the first one"
         )
     if len(time) > 1 and np.median(np.diff(time)) > COARSER * sample_time:
         raise ExperimentError(
-            f"{log.path} is recorded every {np.median(np.diff(time)):g} s (median), but the FMU samples every {sample_time:g} s"
+            f"{log} is recorded every {np.median(np.diff(time)):g} s (median), but the FMU samples every {sample_time:g} s"
         )
     if (time[-1] - time[0]) / sample_time > MOST_STEPS:
-        raise ExperimentError(f"{log.path}: more than {MOST_STEPS} samples of {sample_time:g} s")
+        raise ExperimentError(f"{log}: more than {MOST_STEPS} samples of {sample_time:g} s")
     instants = np.rint((time - time[0]) / sample_time).astype(np.int64)
     offsets = time - (time[0] + instants * sample_time)
     rows = np.full(instants[-1] + 1, -1)

@@ -6,29 +6,31 @@ import multiprocessing
 import os
 import signal
 import stat
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim.results import read_csv, write_columns
+from cosim.results import ROWS_AT_ONCE, read_csv, write_columns
 from cosim.whole import whole
 
-ROWS = 1000
+ROWS = 10 * ROWS_AT_ONCE
 
 
-class Endless:
+class Deadly:
     """A column that kills its process, as kill -9 does, after half of the rows."""
 
-    def tolist(self) -> Iterator[float]:
-        for row in range(ROWS // 2):
-            yield float(row)
-        os.kill(os.getpid(), signal.SIGKILL)
+    def __len__(self) -> int:
+        return ROWS
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        if rows.start >= ROWS // 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return np.arange(*rows.indices(ROWS), dtype=float)
 
 
 def _write_and_die(path: Path) -> None:
-    write_columns({"time": Endless()}, path)  # type: ignore[dict-item]
+    write_columns({"time": Deadly()}, path)  # type: ignore[dict-item]
 
 
 def test_a_killed_process_leaves_the_table_that_was_there(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from commands.app import app
 from cosim.master import run
 from cosim.replay.log import read_log
 from cosim.replay.replay import replay
-from cosim.replay.sampling import sampling, times
+from cosim.replay.sampling import sampling
 from cosim.results import Result as Record
 from cosim.results import read_csv, write_csv
 from cosim.system import Element, System
@@ -175,10 +175,10 @@ def test_a_measurement_that_a_boolean_column_calls_invalid_is_as_good_as_missing
 @pytest.mark.parametrize(
     ("cell", "message"),
     [
-        ("", "holds ''"),
-        ("2", "holds '2'"),
-        ("nan", "holds 'nan'"),
-        ("yes", "'yes' in column 'measurement_valid.y' is not a number"),
+        ("", "'' in column 'measurement_valid.y' is neither true nor false"),
+        ("2", "'2' in column"),
+        ("nan", "'nan' in column"),
+        ("yes", "'yes' in column 'measurement_valid.y' is neither true nor false"),
     ],
 )
 def test_what_is_neither_true_nor_false_in_a_boolean_column_is_refused(
@@ -191,8 +191,8 @@ def test_what_is_neither_true_nor_false_in_a_boolean_column_is_refused(
 
 def test_irregular_times_take_the_nearest_row_of_each_instant(tmp_path: Path) -> None:
     time = np.array([5.0, 5.13, 5.185, 5.22, 5.31, 5.52])
-    log = read_log(written(tmp_path / "log.csv", time, y=time))
-    taken = sampling(log, times(log, None), 0.1)
+    log = written(tmp_path / "log.csv", time, y=time)
+    taken = sampling(log, read_log(log).numbers("time"), 0.1)
     assert taken.start == 5.0 and taken.rows.tolist() == [0, 1, 2, 4, -1, 5]
     np.testing.assert_allclose(taken.offsets, [0, 0.03, -0.015, 0.01, 0, 0.02], atol=1e-12)
 
@@ -235,8 +235,8 @@ def test_the_sample_time_is_the_fmus_parameter_where_it_has_one(tmp_path: Path, 
             ("--set", "tuning.gian=1"),
             "has no variable 'tuning.gian'; did you mean 'tuning.gain'",
         ),
-        ("time,y,rate\n0,1,0\n", ("--sample-time", 0.1), "has a column 'time': leave --sample-time out"),
-        ("y,rate\n1,0\n", (), "has no column 'time': give the time between its rows by --sample-time"),
+        ("time,y,rate\n0,1,0\n", ("--sample-time", 0.1), "has a column 'time' of times: leave --sample-time out"),
+        ("y,rate\n1,0\n", (), "has no column 'time' among y, rate: name it by --map time=COLUMN, or give the time"),
         ("y,rate\n1,0\n", ("--sample-time", -1), "--sample-time -1 must be positive"),
         ("time,y,rate\n0,1,0\n0.2,1,0\n0.1,1,0\n", (), "line 4: time 0.1 does not come after 0.2, the one before"),
         ("time,y,rate\n0,1,0\n0,1,0\n", (), "line 3: time 0 does not come after 0"),

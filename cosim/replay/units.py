@@ -1,0 +1,99 @@
+"""Units in the head of a log ("v [mV]"), and what turns the numbers of one into those of another."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from fmpy.model_description import ModelDescription
+
+BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+NONE = ("", "-", "1")  # how a head says that a number has no unit
+
+_BRACKETS = re.compile(r"(?P<name>.*\S)\s*\[\s*(?P<unit>[^\[\]]*?)\s*\]\Z", re.S)
+_PARENTHESES = re.compile(r"(?P<name>.*\S)\s*\(\s*(?P<unit>[^()]*?)\s*\)\Z", re.S)
+# Nothing else gets to pint, which would work out 9**9**9**9 first.
+_FACTOR = r"(?:1|[^\W\d_]{1,20}|[°%µμΩ][^\W\d_]{0,20})(?:(?:\^|\*\*)?[+-]?[1-9])?|[^\W\d_]{0,20}[²³]"
+_EXPRESSION = re.compile(rf"\(?(?:{_FACTOR})(?:[.*·/ ]\(?(?:{_FACTOR})\)?)*\)?\Z")
+_EXPONENT = re.compile(r"(?<=[^\W\d_])(?:\^|\*\*)?([+-]?[1-9])")
+_ALIASES = {"Ohm": "ohm", "rev": "turn", "Nm": "N*m", "percent": "%", "sec": "s", "ºC": "degC"}
+_PINT_BASE = dict(
+    zip(("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "radian"), BASE, strict=True)
+)
+
+
+class Unit(NamedTuple):
+    """SI value = factor * value + offset, in the product of the base units to `exponents`, in the order of BASE."""
+
+    exponents: tuple[float, ...]
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+DIMENSIONLESS = Unit((0.0,) * len(BASE))
+SECOND = Unit(tuple(float(base == "s") for base in BASE))
+
+
+def split(header: str) -> tuple[str, str]:
+    """Name and unit of a column: "v [mV]" or "v (mV)"; the unit is "" where there is none. `x[1]` is a name."""
+    match = _BRACKETS.match(header)
+    if match and not re.fullmatch(r"[\d, ]+", match["unit"]):
+        return match["name"], match["unit"]
+    match = _PARENTHESES.match(header)
+    if match and (match["unit"] in NONE or parse(match["unit"]) is not None):
+        return match["name"], match["unit"]
+    return header, ""
+
+
+@cache
+def parse(text: str) -> Unit | None:
+    """What a unit means, in the spelling of FMI (m/s2) and of most people (m/s^2, m/s²); None for no known unit."""
+    if text in NONE:
+        return DIMENSIONLESS
+    if not _EXPRESSION.match(text) or text.count("(") != text.count(")"):
+        return None
+    written = _EXPONENT.sub(r"**\1", text.replace("²", "**2").replace("³", "**3").replace("·", ".").replace(".", "*"))
+    words = re.sub(r"[^\W\d_]+", lambda word: _ALIASES.get(word[0], word[0]), written.replace(" ", "*"))
+    registry = _registry()
+    try:
+        unit = registry.parse_units(words)
+        origin, far = (registry.Quantity(value, unit).to_base_units() for value in (0.0, 2.0**30))
+    except Exception:  # pint has no class of errors for what is no unit: of the tokeniser, of its own, of Python
+        return None
+    exponents = {_PINT_BASE.get(name): float(power) for name, power in origin.unit_items()}
+    if None in exponents:  # bits, counts
+        return None
+    # From afar, so that the offset of a temperature costs the factor no digits.
+    factor = float(f"{(far.magnitude - origin.magnitude) / 2.0**30:.15g}")
+    return Unit(tuple(exponents.get(base, 0.0) for base in BASE), factor, float(origin.magnitude))
+
+
+@cache
+def _registry() -> Any:
+    import pint  # takes half a second, and most logs have the unit of the variable or none
+
+    return pint.UnitRegistry(cache_folder=None, autoconvert_offset_to_baseunit=False)
+
+
+def of_fmu(description: ModelDescription, name: str) -> Unit | None:
+    """The unit called `name` as the FMU defines it; None where it does not say what that is in SI units."""
+    for unit in description.unitDefinitions or ():
+        if unit.name == name and unit.baseUnit is not None:
+            base = unit.baseUnit
+            exponents = tuple(float(getattr(base, symbol) or 0) for symbol in BASE)
+            return Unit(exponents, float(base.factor or 1.0), float(base.offset or 0.0))
+    return None
+
+
+def conversion(given: Unit, wanted: Unit) -> Callable[[np.ndarray], np.ndarray] | None:
+    """What turns numbers of `given` into those of `wanted`; None where they measure different things."""
+    if given.exponents != wanted.exponents:
+        return None
+    scale, shift = given.factor / wanted.factor, (given.offset - wanted.offset) / wanted.factor
+    if 0 < scale < 1 and abs(1 / scale - round(1 / scale)) < 1e-12 / scale:
+        divisor = round(1 / scale)  # 3850.802 mV is then the number nearest to 3.850802 V
+        return lambda values: values / divisor + shift
+    return lambda values: values * scale + shift
