@@ -13,7 +13,7 @@ READY := $(VENV)/ready$(if $(CI),-ci)
 FUZZ_SECONDS := 300
 AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
-.PHONY: demo test bench fuzz setup ci-tools lock clean
+.PHONY: demo test bench trust fuzz setup ci-tools lock clean
 
 demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3 and 6, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
@@ -32,6 +32,9 @@ bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python -m benchmarks.windows
 	$(BIN)/python -m benchmarks.linear_gain
 	$(BIN)/python -m benchmarks.elementary
+
+trust: setup ## print how often observers are wrong, and how often silently, under twenty corruptions of the measurements
+	$(BIN)/python -m benchmarks.trust
 
 fuzz: setup ## fuzz the FMUs' C for FUZZ_SECONDS (clang's libFuzzer and sanitizers: make ci-tools)
 	$(BIN)/python tests/fuzz/fuzz_fmus.py $(FUZZ_SECONDS) build/fuzz

@@ -1,0 +1,88 @@
+"""The board counts what it says: streams, verdicts, and its command in a shortened form."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from benchmarks.streams.catalogue import DUFFING_SCENARIO, ENTRIES, MODELS
+from benchmarks.streams.corruptions import CLEAN, CORRUPTIONS, Corruption
+from benchmarks.streams.native import sampled
+from benchmarks.streams.streams import Streams
+from benchmarks.streams.verdicts import Tried, judge, limits, run
+from observers.instance import Instance
+
+OBSERVER = "duffing_ukf"
+
+
+@pytest.fixture(scope="module")
+def streams() -> Streams:
+    return Streams(DUFFING_SCENARIO())
+
+
+@pytest.fixture(scope="module")
+def tried() -> Tried:
+    component = ENTRIES[OBSERVER].make()
+    return Tried(component, {}, sampled(component, DUFFING_SCENARIO().sample_time))
+
+
+def test_there_are_twenty_corruptions_and_each_changes_the_stream(streams: Streams) -> None:
+    clean = streams.stream(CLEAN, 0)
+    assert len({c.name for c in CORRUPTIONS}) == 20
+    for corruption in CORRUPTIONS:
+        stream = streams.stream(corruption, 0)
+        assert not np.array_equal(stream.measured["y"], clean.measured["y"], equal_nan=True), corruption.name
+
+
+@pytest.mark.parametrize("corruption", [c for c in CORRUPTIONS if c.plant == ""], ids=lambda c: c.name)
+def test_a_corrupted_sensor_is_clean_before_and_after(streams: Streams, corruption: Corruption) -> None:
+    clean, stream = streams.stream(CLEAN, 1), streams.stream(corruption, 1)
+    outside = np.ones(300, bool)
+    outside[DUFFING_SCENARIO().during] = False
+    np.testing.assert_array_equal(stream.measured["y"][outside], clean.measured["y"][outside])
+    np.testing.assert_array_equal(stream.truth["x.x1"], clean.truth["x.x1"])
+
+
+def test_a_compiled_observer_estimates_what_an_instance_does(streams: Streams, tried: Tried) -> None:
+    stream = streams.stream(CLEAN, 0)
+    record, instance = run(tried, stream), Instance(tried.component)
+    for k in range(50):
+        instance.set("y", stream.measured["y"][k])
+        instance.step(instance.time, 0.1)
+        error = instance.get("estimate.x1") - stream.truth["x.x1"][k + 1]
+        assert record.errors[k, 0] == pytest.approx(error, abs=1e-9)
+
+
+def test_an_observer_that_is_right_is_never_wrong_and_one_that_is_lied_to_is(streams: Streams, tried: Tried) -> None:
+    limit, clean = limits(tried, streams, [0])
+    assert clean.largest.max() < 0.2
+    assert judge(tried, streams.stream(CLEAN, 0), limit).wrong == 0
+    swapped = judge(tried, streams.stream(next(c for c in CORRUPTIONS if c.name == "sign"), 0), limit)
+    assert swapped.wrong >= 50
+    assert swapped.recovery is not None and swapped.recovery > 0
+
+
+@pytest.mark.parametrize("case", MODELS, ids=lambda case: case.model.name)
+def test_the_literatures_models_stay_finite_and_within_their_bounds(case) -> None:
+    stream = Streams(case.scenario()).stream(CLEAN, 0)
+    for v in (*case.model.states, *case.model.unknown_parameters):
+        truth = stream.truth[f"x.{v.name}"]
+        assert np.isfinite(truth).all()
+        assert v.min <= truth.min() and truth.max() <= v.max
+
+
+def test_the_command_prints_a_line_for_each_observer_and_corruption() -> None:
+    command = [sys.executable, "-m", "benchmarks.trust", "--observer", OBSERVER, "--corruption", "nan", "--seeds", "1"]
+    printed = subprocess.run([*command, "--each"], capture_output=True, text=True, check=True).stdout
+    lines = [line.split()[0] for line in printed.splitlines()]
+    assert lines == ["observer", OBSERVER, "nan"]
+
+
+def test_an_unknown_corruption_is_one_message() -> None:
+    command = [sys.executable, "-m", "benchmarks.trust", "--corruption", "wrong"]
+    found = subprocess.run(command, capture_output=True, text=True)
+    assert found.returncode == 2
+    assert "corruption 'wrong' is unknown; known: outlier" in found.stderr
