@@ -61,7 +61,7 @@ def stiffness(time: np.ndarray, filtered: Mapping[str, np.ndarray], y: np.ndarra
 
 if __name__ == "__main__":
     log = read_log(LOG)
-    u, y = log.numbers("u"), log.column("y")
+    u, y = log.numbers("u"), log.numbers("y")
     shown = {}
     table = Table("FMU", "k1", "k3", "20 ahead", "time a sample", "failed", "in each status")
     for fmu, label in OBSERVERS.items():

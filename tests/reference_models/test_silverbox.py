@@ -29,7 +29,7 @@ LOG = Path(reference_models.__file__).parent / "data" / "silverbox.csv.gz"
 @pytest.fixture(scope="module")
 def measured() -> tuple[np.ndarray, np.ndarray]:
     log = read_log(LOG)
-    return log.numbers("u"), log.column("y")
+    return log.numbers("u"), log.numbers("y")
 
 
 def test_the_record_is_30_000_samples_without_an_offset(measured: tuple[np.ndarray, np.ndarray]) -> None:
