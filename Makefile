@@ -13,7 +13,7 @@ READY := $(VENV)/ready$(if $(CI),-ci)
 FUZZ_SECONDS := 300
 AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
-.PHONY: demo test bench trust fuzz setup ci-tools lock clean
+.PHONY: demo test bench trust fuzz mutants setup ci-tools lock clean
 
 demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3 and 6, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
@@ -38,6 +38,10 @@ trust: setup ## print how often observers are wrong, and how often silently, und
 
 fuzz: setup ## fuzz the FMUs' C for FUZZ_SECONDS (clang's libFuzzer and sanitizers: make ci-tools)
 	$(BIN)/python tests/fuzz/fuzz_fmus.py $(FUZZ_SECONDS) build/fuzz
+
+# MUTANTS: options, such as --area shell --seed 2; an interrupted run goes on where it stopped.
+mutants: setup ## put small faults into a copy of the code and see how many the fast tests find (tests/mutants/README.md; hours)
+	$(BIN)/python tests/mutants/mutants.py $(MUTANTS)
 
 setup: $(READY)
 

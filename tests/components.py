@@ -17,7 +17,7 @@ from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.gong_2007 import rlc
 from reference_models.plant import plant
-from toys import draining_toy, feedthrough_toy, growing_toy, sampled_toy
+from toys import double_toy, draining_toy, feedthrough_toy, growing_toy, sampled_toy
 
 MOVED = Model(
     name="moved",
@@ -30,6 +30,7 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     "sampled_toy": sampled_toy,
     "feedthrough_toy": feedthrough_toy,
     "growing_toy": growing_toy,
+    "double_toy": double_toy,
     "draining_toy": draining_toy,
     "rlc": rlc,
     "duffing": lambda: plant(DUFFING, jumps={"theta": 2}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from observers.component import Component, Enumeration, Port
+from observers.component import Component, Enumeration, Failure, Port
 from observers.model import Model, Variable
 from reference_models.plant import plant
 
@@ -120,3 +120,82 @@ def draining_toy() -> Component:
         output=lambda x, z, u, p, t: [z.outflow],
     )
     return plant(model, max_step=1e-3, stop_time=1.9)
+
+
+def double_toy() -> Component:
+    """Everything at least twice, so that the second of a kind is told from the first; every right-hand side depends on t itself.
+
+    s' = a (1, 2 or 4: before, between, after the kicks), w' = t b, each a failure beyond 8; a sample counts a > 100 and b > 100.
+    """
+    inputs = (
+        Port("a", "first input", "m/s", start=0.5),
+        Port("flag", "a truth value", kind="Boolean", start=1, variability="discrete"),
+        Port("b", "second input", "m/s2", start=-1.0),
+    )
+    parameters = (
+        Port("start.s", "start of s", "m", start=0.25, min=-10, max=10, variability="fixed"),
+        Port("late_kick", "from here on s moves four times as fast", "s", start=0.27, variability="fixed"),
+        Port("early_kick", "from here on s moves twice as fast", "s", start=0.13, variability="fixed"),
+        Port("sample_time", "sample time", "s", start=0.1, min=0.01, max=1.0, variability="fixed"),
+        Port("gain", "gain", start=2.0, min=-3.0, max=4.0, variability="tunable"),
+        Port("bias", "bias", "m/s", start=0.5, min=-1.0, max=1.0, variability="tunable"),
+        Port("weight", "added at a sample", start=1, min=-2, max=9, kind="Integer", variability="tunable"),
+        Port("enabled", "whether samples count", start=1, kind="Boolean", variability="tunable"),
+    )
+    outputs = (
+        Port("s", "first state", "m"),
+        Port("w", "second state", "m"),
+        Port("sampled_flag", "the flag at the last sample", kind="Boolean", variability="discrete"),
+        Port("total", "sum of the weights", kind="Integer", variability="discrete"),
+        Port("high_a", "samples with a large a", kind="Integer", variability="discrete"),
+        Port("high_b", "samples with a large b", kind="Integer", variability="discrete"),
+        Port("force", "gain a + bias + t", "m/s"),
+        Port("inverse", "1 / b", "s2/m"),
+    )
+    z, u, p, t, h = ca.SX.sym("z", 9), ca.SX.sym("u", 3), ca.SX.sym("p", 8), ca.SX.sym("t"), ca.SX.sym("h")
+    s, w, flag, total, high_a, high_b, code, when, measure = ca.vertsplit(z)
+    a, now, b = ca.vertsplit(u)
+    start, late, early, _, gain, bias, weight, enabled = ca.vertsplit(p)
+    middle = t + h / 2
+    s_new = s + h * a * ca.if_else(middle > late, 4, ca.if_else(middle > early, 2, 1))
+    w_new = w + h * middle * b
+    broken = ca.if_else(s_new > 8, 1, ca.if_else(w_new > 8, 2, 0))
+    kept = code != 0
+    failure = [
+        ca.if_else(kept, code, broken),
+        ca.if_else(kept, when, ca.if_else(broken, t + h, 0)),
+        ca.if_else(kept, measure, ca.if_else(broken == 1, s_new, ca.if_else(broken, w_new, 0))),
+    ]
+    return Component(
+        name="double_toy",
+        description="Two of everything",
+        start=ca.Function("start", [p, t], [ca.vertcat(start, t, 0, 0, 0, 0, start > 9, t, start)]),
+        flow=ca.Function("flow", [z, u, p, t, h], [ca.vertcat(s_new, w_new, flag, total, high_a, high_b, *failure)]),
+        jump=ca.Function(
+            "jump",
+            [z, u, p, t],
+            [
+                ca.vertcat(
+                    s, w, now, total + enabled * weight, high_a + (a > 100), high_b + (b > 100), code, when, measure
+                )
+            ],
+        ),
+        output=ca.Function(
+            "output", [z, u, p, t], [ca.vertcat(s, w, flag, total, high_a, high_b, gain * a + bias + t, 1 / b)]
+        ),
+        inputs=inputs,
+        parameters=parameters,
+        outputs=outputs,
+        constants=(
+            Port("first", "a constant", start=0.125),
+            Port("second", "another", start=-3, kind="Integer", variability="constant"),
+        ),
+        sample_time="sample_time",
+        samples_inputs=True,
+        breaks=("late_kick", "early_kick"),
+        counters=("high_a", "high_b"),
+        failures=(Failure("s ran away", "s"), Failure("w ran away", "w")),
+        max_step=0.02,
+        stop_time=1.0,
+        step_size=0.1,
+    )

@@ -10,6 +10,7 @@ void set_defaults(Instance *self)
     size_t n = component.n_inputs + component.n_parameters + component.n_outputs + component.n_constants;
     for (size_t i = 0; i < n; i++)
         self->values[i] = component.variables[i].start;
+    self->log_categories = self->first_categories;
     memset(&self->run, 0, sizeof self->run);
     self->run.lifecycle = INSTANTIATED;
     memset(self->du, 0, component.n_inputs * sizeof *self->du);

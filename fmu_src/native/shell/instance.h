@@ -46,6 +46,7 @@ typedef struct {
     fmi2CallbackFunctions callbacks;
     char *name;
     unsigned log_categories;
+    unsigned first_categories; /* chosen at instantiation: those after a reset */
     Run run;
     bool stale_start;   /* z does not yet follow from the parameters (before and in initialization mode) */
     bool stale_outputs; /* y does not yet follow from z, u, p and time */

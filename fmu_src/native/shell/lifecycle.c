@@ -102,7 +102,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     self->u = self->values;
     self->p = self->u + component.n_inputs;
     self->y = self->p + component.n_parameters;
-    self->log_categories = loggingOn ? LOG_ALL : 0;
+    self->first_categories = loggingOn ? LOG_ALL : 0;
     set_defaults(self);
     return self;
 }
@@ -174,7 +174,7 @@ fmi2Status fmi2Reset(fmi2Component c)
     Instance *self = c;
     if (!allowed(self, "fmi2Reset", ANY_STATE))
         return fmi2Error;
-    set_defaults(self);
     report(self, fmi2OK, LOG_EVENTS, "%s: reset.", component.name);
+    set_defaults(self);
     return fmi2OK;
 }

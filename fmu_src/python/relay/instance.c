@@ -58,7 +58,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         free(self);
         return NULL;
     }
-    self->log_categories = loggingOn ? LOG_ALL : 0;
+    self->first_categories = loggingOn ? LOG_ALL : 0;
+    self->log_categories = self->first_categories;
     return self;
 }
 
@@ -171,7 +172,9 @@ fmi2Status fmi2Reset(fmi2Component c)
         return fmi2Error;
     self->is_set_up = self->entered = false;
     self->refused = false;
-    return answer(self, self->pythonfmu.fmi2Reset(self->slave));
+    fmi2Status status = answer(self, self->pythonfmu.fmi2Reset(self->slave));
+    self->log_categories = self->first_categories;
+    return status;
 }
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,

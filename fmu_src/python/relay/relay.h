@@ -35,6 +35,7 @@ typedef struct {
     void *library;
     fmi2Component slave;
     unsigned log_categories;
+    unsigned first_categories; /* chosen at instantiation: those after a reset */
     bool refused, warned;    /* the slave logged an error, a warning during this call */
     bool is_set_up, entered; /* fmi2SetupExperiment and fmi2EnterInitializationMode were called */
     char name[256];

@@ -31,6 +31,15 @@ from observers.model import Model, Variable
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
+from test_lifecycle import (  # noqa: F401  and these, where both targets say the same
+    test_a_count_that_an_earlier_state_takes_back_warns_when_it_rises_again,
+    test_a_state_saved_anywhere_is_taken_up_anywhere,
+    test_after_a_reset_nothing_of_before_acts,
+    test_counters_warn_with_their_name_value_and_time,
+    test_derivatives_belong_to_the_inputs_they_were_set_for,
+    test_logging_tells_what_was_chosen_last_and_after_a_reset_what_was_chosen_first,
+    test_the_end_of_the_run_is_reached_but_not_passed,
+)
 from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
 from test_shell import CASES, grid
 from tools import ROOT

@@ -1,0 +1,110 @@
+"""Which files make an area, and which tests see them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+TEST_ROOT = "tests"
+
+
+@dataclass(frozen=True)
+class Area:
+    """`files`: patterns of what is mutated, but not `without`; `tests`: folders and files of tests that ask what they promise."""
+
+    files: tuple[str, ...]
+    tests: tuple[str, ...]
+    without: tuple[str, ...] = ()
+
+    def paths(self, root: Path) -> list[str]:
+        """The files, relative to `root`, in the order of their names."""
+        left_out = {path for pattern in self.without for path in root.glob(pattern)}
+        found = {path for pattern in self.files for path in root.glob(pattern)} - left_out
+        return sorted(path.relative_to(root).as_posix() for path in found if path.stat().st_size)
+
+
+def _method(name: str, *tests: str) -> Area:
+    return Area((f"observers/{name}/*.py",), (f"tests/observers/{name}", "tests/observers/test_methods.py", *tests))
+
+
+AREAS = {
+    "contract": Area(
+        ("observers/*.py",),
+        (
+            "tests/observers/test_component.py",
+            "tests/observers/test_model.py",
+            "tests/observers/test_contract.py",
+            "tests/observers/test_ports.py",
+            "tests/observers/test_compose.py",
+            "tests/observers/test_linearisation.py",
+            "tests/fmu_src/description/test_units.py",
+            "tests/observers/test_tuning.py",
+            "tests/observers/test_one_signature.py",
+            "tests/fmu_src/native/test_shell.py",
+        ),
+    ),
+    "numerics": Area(
+        ("observers/numerics/*.py",),
+        ("tests/observers/numerics", "tests/observers/test_model.py", "tests/observers/test_stiff_models.py"),
+    ),
+    "window": Area(
+        ("observers/pseudospectral/window/*.py",),
+        (
+            "tests/observers/pseudospectral/window",
+            "tests/observers/pseudospectral/test_segments.py",
+            "tests/observers/pseudospectral/test_pseudospectral.py",
+            "tests/observers/pseudospectral",
+        ),
+    ),
+    "pseudospectral": Area(("observers/pseudospectral/*.py",), ("tests/observers/pseudospectral",)),
+    "riccati": _method("riccati", "tests/observers/test_missing_measurements.py"),
+    "ukf": _method("ukf", "tests/observers/test_missing_measurements.py"),
+    "least_squares": _method("least_squares", "tests/observers/test_missing_measurements.py"),
+    "canonical_dae": _method("canonical_dae", "tests/observers/test_missing_measurements.py"),
+    "elementary": _method("elementary", "tests/observers/test_missing_measurements.py"),
+    "plants": Area(
+        (
+            "reference_models/plant.py",
+            "reference_models/motion.py",
+            "reference_models/sine.py",
+            "reference_models/ramp.py",
+        ),
+        (
+            "tests/reference_models/test_plant.py",
+            "tests/reference_models/test_signal_sources.py",
+            "tests/reference_models/test_dae_plant.py",
+            "tests/observers/test_component.py",
+            "tests/fmu_src/native/test_shell.py",
+        ),
+    ),
+    "shell": Area(
+        ("fmu_src/native/shell/*.c", "fmu_src/native/shell/clock.h"),  # arithmetic.c: tests that take minutes
+        (
+            "tests/fmu_src/native/test_shell.py",
+            "tests/fmu_src/native/test_lifecycle.py",
+            "tests/fmu_src/native/test_states.py",
+            "tests/fmu_src/native/test_time.py",
+        ),
+    ),
+    "description": Area(
+        ("fmu_src/description/*.py", "fmu_src/native/*.py", "fmu_src/*.py"),
+        (
+            "tests/fmu_src/description",
+            "tests/fmu_src/native/test_native.py",
+            "tests/fmu_src/native/test_sources.py",
+            "tests/fmu_src/native/test_embedded.py",
+            "tests/fmu_src/native/test_shell.py",
+        ),
+    ),
+    "python_target": Area(("fmu_src/python/*.py",), ("tests/fmu_src/python",)),
+    "compliance": Area(("fmu_src/compliance/**/*.py",), ("tests/fmu_src/compliance",)),
+    "cosim": Area(
+        ("cosim/*.py", "cosim/system/*.py", "cosim/master/*.py", "cosim/masters/*.py"),
+        ("tests/cosim/system", "tests/cosim/master", "tests/cosim/masters", "tests/commands/test_run.py"),
+        without=("cosim/masters/ecos.py", "cosim/masters/libcosim.py"),  # of tools that may be missing here
+    ),
+    "runs": Area(
+        ("cosim/campaign/*.py", "cosim/replay/*.py", "cosim/report/*.py"),
+        ("tests/cosim/campaign", "tests/cosim/replay", "tests/cosim/report"),
+    ),
+}

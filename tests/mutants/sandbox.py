@@ -1,0 +1,213 @@
+"""A copy of the project in which faults are tried, each in a process of its own that has what the tests import from others ready."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from mutant import Mutant
+
+# Imported once, before the processes fork: they take most of the time in which a short test runs.
+HEAVY = ("casadi", "numpy", "scipy.linalg", "scipy.integrate", "scipy.optimize", "scipy.interpolate", "fmpy.fmi2")
+HEAVY += (
+    "lxml.etree",
+    "matplotlib.figure",
+    "matplotlib.backends.backend_svg",
+    "plotly.graph_objects",
+    "distributed",
+    "typer",
+    "flint",
+)
+MEMORY = 12 * 2**30  # [bytes] of addresses, so that a fault that takes without end ends
+CLOCK_START = (
+    1_000_000_000  # [s] modification times count up from here: Python's caches know a text by its time and size
+)
+
+SLOW = 6.0  # [s] of processor time: a test that takes longer is left out from the second run on, and what it alone sees survives
+
+KILLED, SURVIVED, TIMED_OUT, BROKEN = "killed", "survived", "timed out", "broken"
+
+
+class Sandbox:
+    """`folder/tree`: the files of the project that git knows or would; a fault is put into it, the tests run, it is taken back."""
+
+    def __init__(self, root: Path, folder: Path):
+        self.folder, self.tree = folder, folder / "tree"
+        self._writes = 0
+        self._update(root)
+        os.environ |= {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(self.tree), "NO_COLOR": "1"}
+        os.environ.pop("CI", None)
+        sys.path.insert(0, str(self.tree))
+        for name in HEAVY:
+            importlib.import_module(name)
+
+    def _update(self, root: Path) -> None:
+        listed = subprocess.run(
+            ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for path in [p for p in self.tree.rglob("*") if p.is_file()] if self.tree.exists() else []:
+            name = path.relative_to(self.tree).as_posix()
+            if not name.startswith(".cache") and "__pycache__" not in name and name not in listed:
+                path.unlink()
+        for name in listed:
+            source, target = root / name, self.tree / name
+            if source.is_file() and not (target.is_file() and target.read_bytes() == source.read_bytes()):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                self._write(name, source.read_bytes())
+
+    def _write(self, name: str, content: bytes) -> None:
+        path = self.tree / name
+        path.write_bytes(content)
+        self._writes += 1
+        stamp = CLOCK_START + int(time.time()) % 10**8 * 10 + self._writes
+        os.utime(path, (stamp, stamp))
+
+    def compiles(self, mutant: Mutant) -> bool:
+        """Whether C with this fault in it passes the compiler as the project calls it; Python always does."""
+        if not mutant.file.endswith((".c", ".h")):
+            return True
+        with self._faulty(mutant):
+            return self._fork(_compile_shell, 120.0, self.folder / "compiler.txt") == 0
+
+    def run(self, mutant: Mutant | None, tests: Sequence[str], seconds: float, times: Path) -> tuple[str, str]:
+        """(outcome, the first test that failed): the tests on the tree with this fault in it, or with none."""
+        log = self.folder / "pytest.txt"
+        with self._faulty(mutant):
+            code = self._fork(lambda: _pytest(self.tree, self.folder, tests, times, mutant is None), seconds, log)
+        shutil.rmtree(self.folder / "temporary", ignore_errors=True)
+        text = log.read_text(errors="replace")
+        failed = [line.split(" - ")[0] for line in text.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+        if code is None:
+            return TIMED_OUT, ""
+        if code == 0:
+            return SURVIVED, ""
+        # 1: a test failed; 2, 4: a test or its fixtures could not be imported; a signal: the fault crashed the process.
+        return (KILLED if code in (1, 2, 3, 4) or code < 0 else BROKEN), failed[0] if failed else f"exit code {code}"
+
+    @contextlib.contextmanager
+    def _faulty(self, mutant: Mutant | None):
+        if mutant is None:
+            yield
+            return
+        sound = (self.tree / mutant.file).read_bytes()
+        self._write(mutant.file, mutant.applied(sound.decode()).encode())
+        try:
+            yield
+        finally:
+            self._write(mutant.file, sound)
+
+    def _fork(self, work, seconds: float, log: Path) -> int | None:
+        """The exit code of `work` in a process of its own, minus the signal that ended it; None: it took too long and was ended."""
+        child = os.fork()
+        if child == 0:
+            os.setsid()
+            os.chdir(self.tree)
+            with log.open("w") as out:
+                os.dup2(out.fileno(), 1)
+                os.dup2(out.fileno(), 2)
+            resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            code = 70
+            try:
+                code = int(work())
+            finally:
+                os._exit(code)
+        deadline = time.monotonic() + seconds
+        status = 0
+        done = 0
+        while not done and time.monotonic() < deadline:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if not done:
+                time.sleep(0.05)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)  # the child's own group: itself, and what its tests left behind
+        if not done:
+            os.waitpid(child, 0)
+            return None
+        return os.waitstatus_to_exitcode(status)
+
+
+def _compile_shell() -> int:
+    """0 if the shell's C compiles, for the smallest component."""
+    import tempfile
+
+    sys.path.insert(1, "tests")
+    from fmu_src.errors import ExportError
+    from fmu_src.export import _native
+    from toys import sampled_toy
+
+    with tempfile.TemporaryDirectory():
+        try:
+            _native(sampled_toy(), ["host"])
+        except ExportError:
+            return 1
+    return 0
+
+
+def _pytest(tree: Path, folder: Path, tests: Sequence[str], times: Path, measure: bool) -> int:
+    known = [test for test in tests if (tree / test).exists()]
+    arguments = ["-x", "-q", "-m", "not long", "-p", "no:cacheprovider", "-p", "no:xdist", "--tb=line", "-rfE"]
+    arguments += [f"--basetemp={folder / 'temporary'}", f"--rootdir={tree}", "-c", str(tree / "pyproject.toml")]
+    return pytest.main([*arguments, *known], plugins=[Quickest(times, measure)])
+
+
+class Quickest:
+    """Runs the tests that take least first, as a run without a fault measured them, and leaves those out that take more than SLOW.
+
+    Those that need an FMU come after those that don't: building it takes longer than they do.
+    """
+
+    FMU = (
+        "built",
+        "unpacked",
+        "slave",
+        "catalogue_fmu",
+        "catalogue_system",
+        "example",
+        "catalogue_slave",
+        "duffing_system",
+    )
+
+    def __init__(self, times: Path, measure: bool):
+        self.path, self.measure = times, measure
+        self.times: dict[str, float] = json.loads(times.read_text()) if times.is_file() else {}
+
+    def pytest_collection_modifyitems(self, items: list) -> None:
+        def order(item) -> tuple[bool, float]:
+            return bool(set(self.FMU) & set(item.fixturenames)), self.times.get(item.nodeid, 0.0)
+
+        chosen = [item for item in dict.fromkeys(items) if self.times.get(item.nodeid, 0.0) <= SLOW]
+        items[:] = sorted(chosen, key=order)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self, item):
+        began = _processor_time()
+        try:
+            return (yield)
+        finally:
+            if self.measure:
+                self.times[item.nodeid] = round(_processor_time() - began, 3)
+
+    def pytest_sessionfinish(self) -> None:
+        if self.measure:
+            self.path.write_text(json.dumps(self.times, indent=0))
+
+
+def _processor_time() -> float:
+    """[s], of this process and of those that it waited for: the wall clock says more of the machine than of a test."""
+    return sum(os.times()[:4])
