@@ -219,6 +219,19 @@ def innovations(model: Model) -> tuple[Port, ...]:
     )
 
 
+def standard_deviations(model: Model) -> tuple[Port, ...]:
+    """`diagnostics.std.<state or unknown parameter>`, of the current estimate."""
+    return tuple(
+        Port(
+            f"diagnostics.std.{v.name}",
+            f"standard deviation of the estimated {v.description or v.name}",
+            units.difference(v.unit),
+            nominal=v.nominal,
+        )
+        for v in (*model.states, *model.unknown_parameters)
+    )
+
+
 def _estimated(model: Model) -> tuple[Variable, ...]:
     return (*model.states, *model.algebraic, *model.unknown_parameters)
 

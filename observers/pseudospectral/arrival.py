@@ -39,52 +39,40 @@ def ports_of(
     measurement_noise: Mapping[str, float] | None,
     initial_std: Mapping[str, float] | None,
 ) -> tuple[Port, ...]:
-    """The tuning parameters of the arrival cost; none unless `wanted`.
+    """The tuning parameters of the arrival cost, and the measurement noise where it is given without one.
 
     Raises:
-        ModelError: deviations given without an arrival cost, or of something that is not estimated or measured.
+        ModelError: other deviations given without an arrival cost, or of something that is not estimated or measured.
     """
     if not wanted:
-        for name, value in (
-            ("process_noise", process_noise),
-            ("measurement_noise", measurement_noise),
-            ("initial_std", initial_std),
-        ):
+        for name, value in (("process_noise", process_noise), ("initial_std", initial_std)):
             if value is not None:
                 raise ModelError(f"pseudospectral: {name} belongs to an arrival cost: give arrival_cost=True")
-        return ()
     estimated = (*model.states, *model.unknown_parameters)
     owner = "pseudospectral"
+    measured = ports.deviations(
+        owner, "measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, measurement_noise, 0.1, smallest=SMALLEST
+    )
+    if not wanted:
+        return measured if measurement_noise is not None else ()
     return (
         *ports.deviations(owner, "process_noise", ports.PROCESS_NOISE, estimated, process_noise, 0.0),
-        *ports.deviations(
-            owner,
-            "measurement_noise",
-            ports.MEASUREMENT_NOISE,
-            model.outputs,
-            measurement_noise,
-            0.1,
-            smallest=SMALLEST,
-        ),
+        *measured,
         *ports.deviations(
             owner, "initial_std", ports.INITIAL_STD, estimated, initial_std, 1.0, "fixed", smallest=SMALLEST
         ),
     )
 
 
-def _sizes(model: Model, wanted: bool) -> tuple[int, int]:
-    return (len(model.states) + len(model.unknown_parameters), len(model.outputs)) if wanted else (0, 0)
-
-
-def settings(model: Model, wanted: bool) -> dict[str, int]:
-    """Sizes of the tuning parameters, in the order of `ports_of`."""
-    ns, ny = _sizes(model, wanted)
-    return {"process_noise": ns, "measurement_noise": ny, "initial_std": ns}
+def settings(model: Model, wanted: bool, weighted: bool) -> dict[str, int]:
+    """Sizes of the tuning parameters, in the order of `ports_of`; `weighted`: the measurement noise is given."""
+    ns = len(model.states) + len(model.unknown_parameters) if wanted else 0
+    return {"process_noise": ns, "measurement_noise": len(model.outputs) if weighted else 0, "initial_std": ns}
 
 
 def state(model: Model, wanted: bool) -> dict[str, int]:
     """Sizes of what is kept from sample to sample."""
-    ns, _ = _sizes(model, wanted)
+    ns = len(model.states) + len(model.unknown_parameters) if wanted else 0
     return {"prior_mean": ns, "prior_covariance": ns * ns}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from observers.numerics.layout import Layout
-from observers.pseudospectral import arrival, bounded_noise
+from observers.pseudospectral import arrival, bounded_noise, covariance
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.warm_start import AT_PREDICTION
 from observers.status import CODE
@@ -45,6 +45,7 @@ def layout(method: Method) -> Layout:
         iterations=1,
         conditioning=1,
         deviation=1,
+        covariance=(nx + nt) ** 2,  # of x, theta: the estimate of the current time
         node0_residual=1,
         slack=int(method.constraints.any),
         rejected=1,
@@ -67,6 +68,7 @@ def start(method: Method) -> ca.Function:
         "fresh": ca.DM(AT_PREDICTION),
         "status": ca.DM(CODE.propagated_guess),
         "model": q.model,
+        "covariance": covariance.initial(method, q),
         **arrival.start(q, method.arrival),
     }
     return ca.Function("start", [p, t], [state.pack(first)])
@@ -78,5 +80,15 @@ def output(method: Method) -> ca.Function:
     z, u = ca.SX.sym("z", state.total), ca.SX.sym("u", 2 * len(model.outputs) + len(model.inputs))
     p, t, s = ca.SX.sym("p", method.settings.total), ca.SX.sym("t"), state.unpack(z)
     shown = [s.x, s.z, s.theta, s.x_filtered, s.z_filtered, s.theta_filtered, verdict(s.status), s.cost, s.iterations]
-    shown += [s.innovation, s.conditioning, s.deviation, s.node0_residual, s.slack, s.bounds, s.rejected, s.failures]
+    shown += [
+        s.innovation,
+        covariance.standard_deviations(s.covariance),
+        s.conditioning,
+        s.deviation,
+        s.node0_residual,
+        s.slack,
+        s.bounds,
+        s.rejected,
+        s.failures,
+    ]
     return ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)])

@@ -27,6 +27,7 @@ class Method:
     constraints: Constraints
     spline: bool
     arrival: bool
+    weighted: bool
 
     @property
     def samples(self) -> int:

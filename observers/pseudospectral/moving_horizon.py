@@ -97,6 +97,7 @@ def _next(
         "iterations": solution.iterations,
         "conditioning": solution.conditioning,
         "deviation": worth.deviation,
+        "covariance": worth.covariance,
         "node0_residual": worth.node0,
         "rejected": s.rejected + (ca.sum1(unreadable) > 0),
         "failures": s.failures + solution.failed,

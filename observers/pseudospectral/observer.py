@@ -90,6 +90,7 @@ def pseudospectral(
     structure.check(model, sample_time, N, L, segments, cost, noise_bound is not None or arrival_cost)
     tuning = (*TUNING, REGULARITY_LIMIT) if model.algebraic else TUNING
     tube = bounded_noise.ports_of(model, noise_bound)
+    weighted = arrival_cost or measurement_noise is not None
     arrival_ports = arrival.ports_of(model, arrival_cost, process_noise, measurement_noise, initial_std)
     settings = Layout(
         guess_x=len(model.states),
@@ -99,12 +100,22 @@ def pseudospectral(
         **{ports.last_name(port): 1 for port in tuning},
         noise_bound=len(model.outputs) if tube.tuning else 0,
         bound_margin=1 if tube.tuning else 0,
-        **arrival.settings(model, arrival_cost),
+        **arrival.settings(model, arrival_cost, weighted),
     )
     lifted, lift = lift_inputs(model.equations)
     problem = structure.problem(model, lifted, N, L, segments, sample_time, cost)
     constraints = structure.constraints(model, problem, bool(tube.tuning))
-    method = Method(model, lifted, lift, problem, settings, constraints, spline=cost == "spline", arrival=arrival_cost)
+    method = Method(
+        model,
+        lifted,
+        lift,
+        problem,
+        settings,
+        constraints,
+        spline=cost == "spline",
+        arrival=arrival_cost,
+        weighted=weighted,
+    )
     return Component(
         name=name or f"{model.name}_pseudospectral",
         description=(
@@ -127,6 +138,7 @@ def pseudospectral(
             *ports.estimates(model),
             *DIAGNOSTICS,
             *ports.innovations(model),
+            *ports.standard_deviations(model),
             *QUALITY,
             *((CONSTRAINT_VIOLATION,) if method.constraints.any else ()),
             *tube.diagnostics,

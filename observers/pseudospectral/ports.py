@@ -80,7 +80,7 @@ QUALITY = (
     ),
     Port(
         "diagnostics.deviation",
-        "estimated standard deviation of the least certain state at the window's start or unknown parameter, in units of nominal values",
+        "standard deviation of the least certain state or unknown parameter at the last sample, in units of nominal values",
         variability="discrete",
     ),
     Port("diagnostics.node0_residual", "collocation residual at the dropped node 0, scaled", variability="discrete"),

@@ -7,7 +7,7 @@ import casadi as ca
 from observers.numerics import algebraic
 from observers.numerics.finite import HUGE
 from observers.numerics.runge_kutta import runge_kutta
-from observers.pseudospectral import memory
+from observers.pseudospectral import covariance, memory
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.warm_start import AT_GUESS
 from observers.status import CODE
@@ -26,13 +26,18 @@ def flow(method: Method) -> ca.Function:
     known = u[ny : ny + nu] if nu else ca.SX(0, 1)
     motion = algebraic.motion(eq)
     moved = runge_kutta(lambda x, time: motion(x, known, q.model, s.theta, time, s.z)[0], s.x, t, h)
+    drift = q.process_noise if method.arrival else ca.SX.zeros(len(method.problem.scale))
     followed = algebraic.followed(eq, [v.nominal for v in model.algebraic])
     moved_z, lost = followed(moved, s.z, known, q.model, s.theta, t + h)
     sound = ca.logic_and(ca.sumsqr(ca.vertcat(moved, moved_z)) < HUGE, ca.logic_not(lost))
+    spread = covariance.moved(method)(
+        s.covariance, (s.x + moved) / 2, s.z, known, q.model, s.theta, t + h / 2, h, drift
+    )
     after = {
         "x": ca.if_else(sound, moved, q.guess_x),
         "z": ca.if_else(sound, moved_z, q.guess_z),
         "theta": ca.if_else(sound, s.theta, q.guess_theta),
+        "covariance": ca.if_else(sound, spread, covariance.initial(method, q)),
         "input_integral": s.input_integral + h * method.lift(known, q.model),
         "fresh": ca.if_else(sound, s.fresh, AT_GUESS),
         "status": ca.if_else(sound, s.status, ca.if_else(lost, CODE.singular, CODE.solver_failed)),

@@ -43,8 +43,8 @@ class Solution:
     """What became of Problem 2 at this sample: its trajectory where `accepted`, else the one that it started from.
 
     `kept`: the prediction was good enough, without a solve. `failed`: the solve did not converge. `undetermined`: it did, but the window
-    does not determine the state. `cost` of `trajectory`, `cost_after` of the solve; `conditioning`, `spread`, `slack` and `iterations` as
-    `iterate` returns them. `bounds`: what `bounded_noise` keeps, empty without a tube.
+    does not determine the state. `cost` of `trajectory`, `cost_after` of the solve; `conditioning`, `slack` and `iterations` as
+    `iterate` returns them, `covariance` (ns^2) of [x; theta] at t_k. `bounds`: what `bounded_noise` keeps, empty without a tube.
     """
 
     trajectory: Trajectory
@@ -55,7 +55,7 @@ class Solution:
     cost: Any
     cost_after: Any
     conditioning: Any
-    spread: Any
+    covariance: Any
     slack: Any
     iterations: Any
     bounds: Mapping[str, Any]
@@ -69,7 +69,7 @@ def reference(method: Method, now: Instant, window: Window, start: Start) -> Ref
     else:
         y, point_weight = window.Y, problem.segment.sample_time * window.W
         enough = ca.sum1(window.W) >= (1 if method.arrival else len(problem.scale))
-    if method.arrival:
+    if method.weighted:
         weight = ca.repmat(1 / q.measurement_noise**2, problem.n_measured, 1) * point_weight
     else:
         weight = ca.DM(np.tile(1 / problem.output_scale**2, problem.n_measured)) * point_weight
@@ -104,6 +104,7 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
     given = _given(method, now, window, ref)
     found, bounds = _solved(method, now, window, start, due, given, residual)
     *new, size, cost_after, conditioning, spread, slack, iterations = found
+    noise = _noise(method, window, cost_after)
     converged, determined = _acceptable(method, now, new, size, conditioning, due)
     accepted = ca.logic_and(converged, determined)
     pairs = zip(new, start.trajectory, strict=True)
@@ -117,11 +118,22 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
         cost=kept(ca.if_else(accepted, cost_after, ca.if_else(ref.enough, before, 0)), now.s.cost),
         cost_after=cost_after,
         conditioning=kept(conditioning, 0),
-        spread=spread,
+        covariance=spread * noise,
         slack=kept(slack, 0),
         iterations=iterations,
         bounds=bounds,
     )
+
+
+def _noise(method: Method, window: Window, cost: Any) -> Any:
+    """The factor from the inverse of the weights' normal matrix to a covariance.
+
+    Where tuning does not say what the measurement noise is, it is what the fit leaves: `cost`, whose degrees of freedom are the samples
+    beyond the unknowns. The estimate's distribution is then Student's, whose variance has two degrees of freedom less.
+    """
+    if method.weighted:
+        return method.problem.segment.sample_time
+    return cost / ca.fmax(ca.sum1(window.W) - len(method.problem.scale) - 2, 1)
 
 
 def _acceptable(
@@ -140,7 +152,13 @@ def _given(method: Method, now: Instant, window: Window, ref: Reference) -> dict
     """What stays fixed within a solve: the names of `Solve.given`, the tube aside."""
     q, Ts = now.q, method.problem.segment.sample_time
     given = {"data": window.data, "p": q.model, "y": ref.y, "w": ref.weight, "lam": q.regularisation}
-    return {**given, "active": window.active, **arrival.given(method.arrival, now.s, method.problem.scale, Ts)}
+    at = trajectory.sample_rows(method.problem)(window.place)
+    return {
+        **given,
+        "at": at,
+        "active": window.active,
+        **arrival.given(method.arrival, now.s, method.problem.scale, Ts),
+    }
 
 
 def _solved(

@@ -7,7 +7,8 @@ from typing import Any
 
 import casadi as ca
 
-from observers.numerics.finite import finite, kept
+from observers.numerics.finite import HUGE, kept
+from observers.pseudospectral.covariance import standard_deviations
 from observers.pseudospectral.estimate import Estimate
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.problem_2 import VIOLATED, Reference, Solution
@@ -18,11 +19,13 @@ from observers.status import CODE, worst
 
 @dataclass(frozen=True)
 class Quality:
-    """`status`, one of CODE; `deviation` of the least certain estimate and `node0`, the largest residual of (16) at a dropped node 0, in
-    units of nominal values; `changed`, for how many samples yet the window holds some from before a change of a model parameter.
+    """`status`, one of CODE; `covariance` (ns^2) of the estimate; `deviation` of its least certain entry and `node0`, the largest residual
+    of (16) at a dropped node 0, in units of nominal values; `changed`, for how many samples yet the window holds some from before a change
+    of a model parameter.
     """
 
     status: Any
+    covariance: Any
     deviation: Any
     node0: Any
     changed: Any
@@ -46,7 +49,10 @@ def quality(
         *([window.active] if problem.count > 1 else []),
     )
     changed = _changed(method, now)
-    deviation = _deviation(method, now, window, solution)
+    # Without a fit the estimate is the prediction, and so is its covariance.
+    fitted = ca.logic_and(solution.accepted, ca.sumsqr(solution.covariance) < HUGE)
+    covariance = ca.if_else(fitted, solution.covariance, s.covariance)
+    deviation = ca.norm_inf(standard_deviations(covariance, problem.scale))
     rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
     status = worst(
         (ca.logic_not(window.moving + (s.k == method.samples)), CODE.settling),
@@ -62,7 +68,7 @@ def quality(
         (regularity < q.regularity_limit if model.algebraic else 0, CODE.singular),
         (ca.logic_not(ref.enough), CODE.propagated_guess),
     )
-    return Quality(status, deviation, kept(node0, s.node0_residual), changed)
+    return Quality(status, covariance, deviation, kept(node0, s.node0_residual), changed)
 
 
 def _changed(method: Method, now: Instant) -> Any:
@@ -70,12 +76,3 @@ def _changed(method: Method, now: Instant) -> Any:
     s, q = now.s, now.q
     changes = ca.logic_and(s.k > 0, ca.sumsqr(q.model - s.model) > 0) if method.model.parameters else 0
     return ca.if_else(changes, method.samples, ca.fmax(s.changed - 1, 0))
-
-
-def _deviation(method: Method, now: Instant, window: Window, solution: Solution) -> Any:
-    """The standard deviation that the samples' noise leaves; the noise is what the fit leaves, or what tuning says of it."""
-    problem = method.problem
-    redundancy = ca.fmax(ca.sum1(window.W) - problem.nx - problem.n_theta, 1)
-    noise = problem.segment.sample_time if method.arrival else solution.cost_after / redundancy
-    deviation = ca.sqrt(ca.fmax(solution.spread * noise, 0))
-    return ca.if_else(ca.logic_and(solution.accepted, finite(deviation)), deviation, now.s.deviation)

@@ -11,7 +11,7 @@ and the sum over the segments of [r + M_0, M_s]' W [r + M_0, M_s] holds normal m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -30,7 +30,8 @@ class Linearised:
     """The problem linearised at (V, Z, s), over the whole window.
 
     `normal` (1 + ns, 1 + ns); `sol` the segments' d V / d [1; s]; `Z` the algebraic variables at the nodes; `residual` (h - y) and
-    `sensitivity` its derivative by [1; s] at all measured points; `nodes` and `node_sensitivity` those of the bounded states at the nodes.
+    `sensitivity` its derivative by [1; s] at all measured points; `nodes` and `node_sensitivity` those of the bounded states at the nodes;
+    `reached` (nx, 1 + ns) that of the state at the sample that `given["at"]` is of (none without it).
     """
 
     normal: Any
@@ -40,6 +41,7 @@ class Linearised:
     sensitivity: Any
     nodes: Any
     node_sensitivity: Any
+    reached: Any
 
 
 def output_residual(problem: LeastSquares) -> ca.Function:
@@ -93,7 +95,7 @@ class _Along:
 def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str, Any]) -> Linearised:
     """The problem at (V, Z, s), with what `gauss_newton.Solve.given` names: data, p, y and the weights w of the measured points.
 
-    Of several segments, those with `active` 0 stay as they are and weigh nothing.
+    Of several segments, those with `active` 0 stay as they are and weigh nothing. `at` is `trajectory.sample_rows`, of the last active one.
     """
     data, p, y, w = (given[name] for name in ("data", "p", "y", "w"))
     kind, n = type(V), 1 + problem.nx + problem.n_theta
@@ -103,15 +105,47 @@ def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str,
     parts: dict[str, list[Any]] = {name: [] for name in ("sol", "Z", "r", "M", "X", "G")}
     first = _segment(problem, 0, kind)
     later = _if_active(_segment(problem, 1, kind)) if problem.count > 1 else None
+    reached = kind(ca.DM.zeros(problem.nx, n))
     for j, (v, z) in enumerate(_segments(problem, V, Z)):
+        before = RG
         arguments = [xs, RG, v, z, theta, data[problem.data_of(j)], p, y[problem.measured(j)], w[problem.measured(j)]]
         found = first(*arguments) if later is None or j == 0 else later(given["active"][j], *arguments)
         xs, RG = found[0], found[1]
         normal = normal + found[2]
         for name, value in zip(parts, found[3:], strict=True):
             parts[name].append(value)
+        if "at" in given:
+            last = None if problem.count == 1 else _is_last(given["active"], j)
+            reached = _reached(problem, kind, last)(given["at"], before, found[3], reached)
     stacked = {name: ca.vertcat(*values) for name, values in parts.items() if name != "sol"}
-    return Linearised(normal, parts["sol"], *stacked.values())
+    residual, sensitivity, nodes = stacked["r"], stacked["M"], (stacked["X"], stacked["G"])
+    return Linearised(normal, parts["sol"], stacked["Z"], residual, sensitivity, *nodes, reached)
+
+
+def _is_last(active: Any, j: int) -> Any:
+    """Whether segment j is the last active one."""
+    return active[j] - active[j + 1] if j + 1 < active.numel() else active[j]
+
+
+def _reached(problem: LeastSquares, kind: Any, last: Any) -> Callable[..., Any]:
+    """(at, RG, sol, before) -> d x / d [1; s] at the sample `at` of a segment; `before` unless the segment is the `last` one."""
+
+    def of(at: Any, RG: Any, sol: Any, before: Any) -> Any:
+        nx = problem.nx
+        rows, n = nx + problem.n_rates, RG.shape[1]
+        shapes = (("at", nx * rows, 1), ("RG", nx, n), ("sol", problem.n_rates, n), ("before", nx, n))
+        names = [kind.sym(*shape) for shape in shapes]
+        matrix = ca.reshape(names[0], nx, rows)
+        there = ca.mtimes(matrix[:, :nx], names[1])
+        if problem.n_rates:
+            there = there + ca.mtimes(matrix[:, nx:], names[2])
+        reached = ca.Function("reached", names, [there])
+        if last is None:
+            return reached(at, RG, sol, before)
+        skipped = ca.Function("reached_skipped", names, [names[3]])
+        return ca.Function.if_else("maybe_reached", reached, skipped)(last, at, RG, sol, before)
+
+    return of
 
 
 def first_sample(problem: LeastSquares) -> ca.Function:

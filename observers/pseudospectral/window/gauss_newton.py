@@ -10,6 +10,7 @@ slack). Where the free step satisfies them all it is the solution.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,6 +64,8 @@ class Solve:
         sizes = {"data": problem.n_data, "p": problem.n_parameters, "y": measured, "w": measured, "lam": 1}
         if problem.count > 1:
             sizes["active"] = problem.count
+        if not self.aim:
+            sizes["at"] = problem.nx * (problem.nx + problem.n_rates)
         if self.arrival:
             sizes |= {"prior_mean": ns, "prior_information": ns * ns}
         if self.constraints.tube:
@@ -71,12 +74,13 @@ class Solve:
 
 
 def newton_step(solve: Solve) -> ca.Function:
-    """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, spread, slack).
+    """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, covariance, slack).
 
     The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the samples' weighted sum of squares that the linearisation
-    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of their scaled normal matrix over the largest, `spread` the
-    largest diagonal entry of the whole one's inverse, `slack` by how much the rows had to be relaxed, in nominal units.
+    predicts after the whole step, `conditioning` in [0, 1] the smallest pivot of their scaled normal matrix over the largest, `covariance`
+    (ns^2, none of Problem 3) that of the state at the sample `at` and of theta for samples of variance 1 / w, constraints left aside,
+    `slack` by how much the rows had to be relaxed, in nominal units.
     """
     problem = solve.problem
     kind = ca.MX if solve.constraints.any else problem.kind
@@ -90,7 +94,8 @@ def newton_step(solve: Solve) -> ca.Function:
         normal = normal + _prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
     if solve.aim:
         normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
-    step, conditioning, cost, spread = _free(tuple(problem.scale))(normal, g["lam"])
+    step, conditioning, cost, inverse = _free(tuple(problem.scale))(normal, g["lam"])
+    covariance = kind(0, 1) if solve.aim else _covariance(tuple(problem.scale))(inverse, at.reached[:, 1:])
     if solve.arrival:
         conditioning = _conditioning(tuple(problem.scale))(at.normal, g["lam"])
     slack: Any = 0
@@ -111,7 +116,7 @@ def newton_step(solve: Solve) -> ca.Function:
     )
     weights = np.tile(1 / problem.rate_scale, problem.segment.order * problem.count) if problem.n_rates else np.zeros(0)
     size = ca.sumsqr(step / problem.scale) + (ca.sumsqr(dV * weights) if problem.n_rates else 0)
-    results = [V + dV, at.Z, s + length * step, size, cost, conditioning, spread, slack]
+    results = [V + dV, at.Z, s + length * step, size, cost, conditioning, covariance, slack]
     return ca.Function("newton", [V, Z, s, whole, *g.values()], results)
 
 
@@ -140,18 +145,31 @@ def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
 
 
 def _free(scale: tuple[float, ...]) -> ca.Function:
-    """(step, conditioning, cost after the step, spread) from the matrix of squares and the regularisation, in units of `scale`."""
+    """(step, conditioning, cost after the step, inverse in units of `scale`) from the matrix of squares and the regularisation."""
     ns = len(scale)
 
     def body(full: ca.SX, lam: ca.SX) -> tuple[ca.SX, ...]:
         S = ca.diag(ca.DM(scale))
         H, g = ca.mtimes([S, full[1:, 1:], S]), ca.mtimes(S, full[1:, 0])
         solved, pivots = linear.ldl_solve(H + lam * ca.DM.eye(ns), ca.horzcat(-g, ca.DM.eye(ns)))
-        step, spread = solved[:, 0], ca.mmax(ca.diag(solved[:, 1:]))
+        step, inverse = solved[:, 0], solved[:, 1:]
         cost = full[0, 0] + 2 * ca.dot(g, step) + ca.dot(step, ca.mtimes(H, step))
-        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), spread
+        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), inverse
 
     return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
+
+
+def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
+    """(inverse, d x / d s at some time) -> the covariance of [x; theta] there, stacked; `inverse` is that of s in units of `scale`."""
+
+    def of(inverse: Any, reached: Any) -> Any:
+        nx, ns = reached.shape
+        inv, R = ca.SX.sym("inverse", ns, ns), ca.SX.sym("reached", nx, ns)
+        T = ca.mtimes(ca.vertcat(R, ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx))), ca.diag(ca.DM(scale)))
+        whole = ca.densify(ca.mtimes([T, inv, T.T]))
+        return ca.Function("covariance", [inv, R], [ca.vec(whole)])(inverse, reached)
+
+    return of
 
 
 def _conditioning(scale: tuple[float, ...]) -> ca.Function:

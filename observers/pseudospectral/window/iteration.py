@@ -20,7 +20,7 @@ DAMPING = 0.5  # of later steps: where noise makes the residual's curvature turn
 
 
 def iterate(solve: Solve) -> ca.Function:
-    """Function solve(go, V, Z, s, tol, limit, *given) -> (V, Z, s, size, cost, conditioning, spread, slack, iterations).
+    """Function solve(go, V, Z, s, tol, limit, *given) -> (V, Z, s, size, cost, conditioning, covariance, slack, iterations).
 
     Full Gauss-Newton steps, damped ones after WHOLE_STEPS. Iterates while the scaled step exceeds `tol`, stays finite, and fewer than
     `limit` steps are done; the last step is applied, so that an error of tol before it is one of about tol^2 after. A line search on a
@@ -30,7 +30,8 @@ def iterate(solve: Solve) -> ca.Function:
     V, Z, s, _, *fixed = (ca.MX.sym(newton.name_in(i), newton.numel_in(i)) for i in range(newton.n_in()))
     whole_steps = WHOLE_STEPS_AIMED if solve.aim else WHOLE_STEPS
     go, tolerance, limit = ca.MX.sym("go"), ca.MX.sym("tolerance"), ca.MX.sym("limit")
-    results = dict.fromkeys(("size", "cost", "conditioning", "spread", "slack", "iterations"), 1)
+    results = dict.fromkeys(("size", "cost", "conditioning", "covariance", "slack", "iterations"), 1)
+    results["covariance"] = newton.numel_out(6)
     state = lay.Layout(V=V.numel(), Z=Z.numel(), s=s.numel(), **results)
     now = ca.MX.sym("now", state.total)
     stay = ca.Function("stay", [now, *fixed], [now])
@@ -62,7 +63,8 @@ def iterate(solve: Solve) -> ca.Function:
         later = rescued(newton, state)(start, later, *fixed, tolerance, limit)
     tail = ca.Function("tail", [start, now, *fixed, tolerance, limit], [later])
     no_tail = ca.Function("no_tail", [start, now, *fixed, tolerance, limit], [now])
-    first = state.pack({"V": V, "Z": Z, "s": s} | dict.fromkeys(results, 0) | {"size": ca.if_else(go, HUGE / 2, 0)})
+    nothing = {name: ca.DM.zeros(size) for name, size in results.items()}
+    first = state.pack({"V": V, "Z": Z, "s": s} | nothing | {"size": ca.if_else(go, HUGE / 2, 0)})
     value = chain(first, FIRST_STEPS, whole)
     done = state.unpack(value).size < tolerance**2  # false for NaN
     value = ca.Function.if_else("maybe_tail", no_tail, tail)(done, first, value, *fixed, tolerance, limit)

@@ -186,6 +186,22 @@ def state_at(problem: LeastSquares) -> ca.Function:
     return ca.Function("state", arguments, list(chosen_function(place == count * L, *arguments)))
 
 
+def sample_rows(problem: LeastSquares) -> ca.Function:
+    """rows(place) -> [Ph, Ps] (nx x (nx + n_rates), stacked) with x = Ph xs + Ps V at the window's sample instant `place`, in its segment.
+
+    A sample between two segments is the end of the first.
+    """
+    s, count, m = problem.segment, problem.count, problem.segment.samples
+    place = ca.MX.sym("place")
+    tables = [np.hstack(s.at(np.array([i * s.sample_time]))).ravel(order="F") for i in range(m + 1)]
+    at_end = ca.Function("rows_at_end", [place], [ca.DM(tables[m])])
+    inside = place - m * ca.floor((place - 1) / m)  # 1 .. m; the window's start, 0, gives m
+    chosen = ca.if_else(place > 0, inside, 0)
+    somewhere = ca.Function("rows_somewhere", [place], [ca.DM(np.array(tables).T) @ (ca.DM(range(m + 1)) == chosen)])
+    rows = ca.Function.if_else("rows", at_end, somewhere)
+    return ca.Function("sample_rows", [place], [rows(place == count * m, place)])
+
+
 def node0(problem: LeastSquares) -> ca.Function:
     """node0(V, Z, x0, theta, p, t_start, U, active) -> (residual, regularity).
 

@@ -248,7 +248,7 @@ def test_it_goes_with_a_tube():
     assert rms[True, True] < 0.6 * rms[False, False] and rms[True, True] < 1.1 * min(rms.values()), rms
 
 
-@pytest.mark.parametrize("which", ["process_noise", "measurement_noise", "initial_std"])
+@pytest.mark.parametrize("which", ["process_noise", "initial_std"])
 def test_deviations_without_an_arrival_cost_are_refused(which):
     with pytest.raises(ModelError, match=rf"{which} belongs to an arrival cost: give arrival_cost=True"):
         pseudospectral(DUFFING, sample_time=TS, **{which: {"x1": 1.0}})

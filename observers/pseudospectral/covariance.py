@@ -1,0 +1,54 @@
+"""The covariance of the estimate: from the window's end, where the fit gives it, to the current time."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from observers.numerics import linear
+from observers.numerics.finite import HUGE
+from observers.pseudospectral.method import Method
+
+
+def initial(method: Method, q: SimpleNamespace) -> Any:
+    """That of the guess, stacked (ns^2): by `tuning.initial_std` where there is one, else the nominal values."""
+    std = q.initial_std if method.arrival else ca.DM(method.problem.scale)
+    return ca.vec(ca.densify(ca.diag(std**2)))
+
+
+def standard_deviations(covariance: Any, unit: np.ndarray | None = None) -> Any:
+    """Square roots of the diagonal (ns) of a stacked covariance, in `unit` (ns)."""
+    ns = round(covariance.numel() ** 0.5)
+    diagonal = ca.vertcat(*[covariance[i * (ns + 1)] for i in range(ns)])
+    std = ca.sqrt(ca.fmax(diagonal, 0))
+    return std / ca.DM(unit) if unit is not None else std
+
+
+def moved(method: Method) -> ca.Function:
+    """moved(P, x, z, u, p, theta, t, h, q) -> P a time h later, with the model linearised at (x, z, theta, t), half way.
+
+    P' = A P + P A' + diag(q^2) by the (1, 2) Pade approximation of the exponential: third order, and it damps as stiff a model as there is.
+    A prediction whose linearisation is not finite leaves P as it was.
+    """
+    eq, ns, nx = method.model.equations, len(method.problem.scale), method.problem.nx
+    P, h, q = ca.SX.sym("P", ns * ns), ca.SX.sym("h"), ca.SX.sym("q", ns)
+    arguments = [eq.x, eq.z, eq.u, eq.p, eq.theta, eq.t]
+    m = ca.vertcat(eq.x, eq.theta)
+    slope = ca.jacobian(eq.ode, m)
+    if eq.z.numel():
+        through = linear.qr_solve(ca.jacobian(eq.algebraic, eq.z), ca.densify(ca.jacobian(eq.algebraic, m)))
+        slope = slope - ca.mtimes(ca.jacobian(eq.ode, eq.z), through)
+    hA = h * ca.vertcat(slope, ca.SX(ns - nx, ns))
+    unit = ca.SX.eye(ns)
+    D = unit - 2 * hA / 3 + ca.mtimes(hA, hA) / 6  # its lower rows are those of the unit matrix
+    right = ca.horzcat(unit + hA / 3, unit - hA / 6)
+    upper = linear.qr_solve(D[:nx, :nx], ca.densify(right[:nx, :] - ca.mtimes(D[:nx, nx:], right[nx:, :])))
+    solved = ca.vertcat(upper, right[nx:, :])
+    Phi, Gamma = solved[:, :ns], solved[:, ns:]  # of the state, and over h of a rate that is held
+    after = ca.mtimes([Phi, ca.reshape(P, ns, ns), Phi.T]) + h * ca.mtimes(ca.mtimes(Gamma, ca.diag(q**2)), Gamma.T)
+    column = ca.vec(ca.densify(after))
+    kept = ca.if_else(ca.sumsqr(column) < HUGE, column, P)
+    return ca.Function("moved_covariance", [P, *arguments, h, q], [kept], {"cse": True})
