@@ -14,7 +14,7 @@ from commands.console import say
 from observers import __version__
 
 NAME = "observer-fmus"
-VERBS = ("build", "run", "compare", "campaign", "replay", "check")
+VERBS = ("build", "run", "compare", "campaign", "replay", "signal", "check")
 
 
 class _Verbs(TyperGroup):

@@ -71,6 +71,25 @@ def parse(text: str) -> Unit | None:
     return Unit(tuple(exponents.get(base, 0.0) for base in BASE), factor, float(origin.magnitude))
 
 
+def expression(text: str) -> str:
+    """The unit in the spelling of FMI: "m/s^2" and "m/s²" are m/s2, "°C" is degC, "N*m" is N.m; "" for none."""
+    if text in ("", "-"):
+        return "" if not text else "1"
+    written = _EXPONENT.sub(r"\1", text.replace("²", "2").replace("³", "3"))
+    for other, ours in (
+        ("·", "."),
+        ("*", "."),
+        (" ", "."),
+        ("°C", "degC"),
+        ("°", "deg"),
+        ("Ω", "Ohm"),
+        ("µ", "u"),
+        ("μ", "u"),
+    ):
+        written = written.replace(other, ours)
+    return re.sub(r"[^\W\d_]+", lambda word: {"sec": "s", "Nm": "N.m"}.get(word[0], word[0]), written)
+
+
 @cache
 def _registry() -> Any:
     import pint  # takes half a second, and most logs have the unit of the variable or none
