@@ -110,8 +110,8 @@ def over_a_gap_of_8(parameters=None):
 
 def test_the_conditioning_falls_with_the_samples_that_are_missing_and_the_status_says_where_none_are_left() -> None:
     conditioning, status, usual = over_a_gap_of_8()
-    assert set(status[30:38]) == {CODE.sample_rejected}
-    assert set(status[38:40]) == {CODE.propagated_guess}  # two samples for three unknowns
+    assert set(status[30:36]) == {CODE.sample_rejected}
+    assert set(status[36:40]) == {CODE.propagated_guess}  # two samples or fewer for three unknowns
     assert conditioning[40] < usual[40] / 10  # three of nine
     assert np.all(conditioning[40:46] < usual[40:46])
     np.testing.assert_allclose(conditioning[46:], usual[46:], rtol=1e-3)  # whole again
@@ -138,7 +138,9 @@ def test_a_gap_of_three_windows_is_bridged_by_the_model_and_left_behind(kind: st
     assert errors[120:].max() < (1e-2 if kind == "ukf" else 1e-4)
     names = [port.name for port in run.component.outputs]
     status = rows[:, names.index("diagnostics.status")]
-    assert set(status[50:74]) == {CODE.sample_rejected}
+    # A window that has lost all its samples is one that has not begun.
+    lost = {CODE.sample_rejected} if kind == "ukf" else {CODE.sample_rejected, CODE.propagated_guess}
+    assert set(status[50:74]) == lost and list(status[50:74]) == sorted(status[50:74])
     assert run.get("diagnostics.rejected_samples") == 0 == run.get("diagnostics.solver_failures")
 
 
@@ -287,12 +289,9 @@ def test_in_every_other_observer_too_a_flagged_sample_is_as_one_that_is_no_numbe
     for i in range(ny):
         innovation = names.index(f"diagnostics.innovation[{i + 1}]" if ny > 1 else "diagnostics.innovation")
         assert np.all(flagged_rows[~arrives[:, i], innovation] == 0)
-    status = next(port for port in made.outputs if port.name == "diagnostics.status").enumeration
-    assert status is not None
-    rejected = [item for item, _ in status.items].index("sample_rejected") + 1
-    shown = flagged_rows[:, names.index("diagnostics.status")] == rejected
-    nothing = ~arrives.any(axis=1)
-    assert np.all(shown[nothing]) and not np.any(shown & ~incomplete)
+    status = flagged_rows[:, names.index("diagnostics.status")]
+    assert np.all(status[~arrives.any(axis=1)] >= CODE.sample_rejected)  # or what is graver, such as the start
+    assert CODE.sample_rejected in status and not np.any(status[~incomplete] == CODE.sample_rejected)
 
 
 @pytest.mark.parametrize("name", ["motor_canonical_dae", "van_der_pol_known_elementary"])
