@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from commands.console import say
 from observers import __version__
@@ -41,11 +43,27 @@ class _Verbs(TyperGroup):
         sys.exit(code if isinstance(code, int) else 0)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """What the list of all verbs shows of one; `resolve_command` loads the one that is called."""
         if cmd_name not in VERBS:
             return None
-        alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-        alone.command(cmd_name)(getattr(import_module(f"commands.{cmd_name}"), cmd_name))
-        return typer.main.get_command(alone)
+        return TyperCommand(cmd_name, help=_description(cmd_name))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, _loaded(name) if name in VERBS else command, rest
+
+
+def _description(verb: str) -> str:
+    """The docstring of a verb, read from its file: importing all of them would take seconds."""
+    module = ast.parse(Path(__file__).with_name(f"{verb}.py").read_text(encoding="utf-8"))
+    functions = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == verb)
+    return ast.get_docstring(next(functions)) or ""
+
+
+def _loaded(verb: str) -> Any:
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    alone.command(verb)(getattr(import_module(f"commands.{verb}"), verb))
+    return typer.main.get_command(alone)
 
 
 def _sentence(error: Any) -> str:

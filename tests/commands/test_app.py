@@ -30,6 +30,16 @@ def test_each_verb_has_help_with_an_example_that_is_not_broken(verb: str) -> Non
     assert all(option in "\n".join(lines[start + len(example) :]) for option in options)
 
 
+def test_the_list_of_verbs_loads_none_of_what_they_need() -> None:
+    code = (
+        "import sys; from commands.app import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: print(sorted({'numpy', 'casadi', 'scipy', 'fmpy', 'plotly', 'matplotlib'} & set(sys.modules)))"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert shown.splitlines()[-1] == "[]"
+
+
 def test_help_lists_every_verb_and_the_module_does_what_the_script_does() -> None:
     command = [sys.executable, "-m", "commands", "--help"]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
