@@ -39,8 +39,6 @@ AREAS = {
             "tests/observers/test_linearisation.py",
             "tests/fmu_src/description/test_units.py",
             "tests/observers/test_tuning.py",
-            "tests/observers/test_one_signature.py",
-            "tests/fmu_src/native/test_shell.py",
         ),
     ),
     "numerics": Area(
@@ -74,7 +72,6 @@ AREAS = {
             "tests/reference_models/test_signal_sources.py",
             "tests/reference_models/test_dae_plant.py",
             "tests/observers/test_component.py",
-            "tests/fmu_src/native/test_shell.py",
         ),
     ),
     "shell": Area(
@@ -83,7 +80,6 @@ AREAS = {
             "tests/fmu_src/native/test_shell.py",
             "tests/fmu_src/native/test_lifecycle.py",
             "tests/fmu_src/native/test_states.py",
-            "tests/fmu_src/native/test_time.py",
         ),
     ),
     "description": Area(

@@ -34,7 +34,7 @@ CLOCK_START = (
     1_000_000_000  # [s] modification times count up from here: Python's caches know a text by its time and size
 )
 
-SLOW = 6.0  # [s] of processor time: a test that takes longer is left out from the second run on, and what it alone sees survives
+SLOW = 2.0  # [s] of processor time: a test that takes longer is left out from the second run on, and what it alone sees survives
 
 KILLED, SURVIVED, TIMED_OUT, BROKEN = "killed", "survived", "timed out", "broken"
 
