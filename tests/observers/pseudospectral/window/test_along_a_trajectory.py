@@ -22,7 +22,10 @@ START = np.array([0.7, -0.2, 0.5])
 
 
 def model(kind: str, algebraic: bool) -> Model:
-    """u1 does what it likes, for nothing nonlinear sees what it moves; u2 enters the nonlinear terms. z + z^3 / 5 = a where there is a z, else a stands for it."""
+    """u1 does what it likes, for nothing nonlinear sees what it moves; u2 enters the nonlinear terms.
+
+    Where there is a z, z + z^3 / 5 = a; else a stands for it.
+    """
 
     def ode(x, *rest):
         z, u, p, t = rest if algebraic else (None, *rest)
