@@ -24,7 +24,7 @@ class Area:
 
 
 def _method(name: str, *tests: str) -> Area:
-    return Area((f"observers/{name}/*.py",), (f"tests/observers/{name}", "tests/observers/test_methods.py", *tests))
+    return Area((f"observers/{name}/*.py",), (f"tests/observers/{name}", *tests))
 
 
 AREAS = {
@@ -72,6 +72,7 @@ AREAS = {
             "tests/reference_models/test_signal_sources.py",
             "tests/reference_models/test_dae_plant.py",
             "tests/observers/test_component.py",
+            "tests/observers/test_model.py",
         ),
     ),
     "shell": Area(
