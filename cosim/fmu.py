@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import zipfile
-import zlib
 from functools import cache
 from pathlib import Path
 
@@ -12,15 +10,24 @@ import fmpy
 from fmpy.model_description import ModelDescription, ModelVariable, read_model_description
 from lxml import etree
 
-from cosim.errors import SystemFileError, not_a_file
+from cosim.archive import opened, parsed
+from cosim.errors import SystemFileError
 
 Value = float | int | bool | str
 
+DESCRIPTION = "modelDescription.xml"
+# What this project's FMUs say of themselves where their outputs follow from inputs, parameters and time alone.
+STATIC = "VendorAnnotations/Tool[@name='observer-fmus']/Static"
 INTEGER_LIMIT = 2**31  # fmi2Integer is a C int
 
 
 def read_description(fmu: Path) -> ModelDescription:
-    """The model description of the FMI 2.0 co-simulation FMU at `fmu`.
+    """The model description of an FMU, as of `read_fmu`."""
+    return read_fmu(fmu)[0]
+
+
+def read_fmu(fmu: Path) -> tuple[ModelDescription, bool]:
+    """The model description of the FMI 2.0 co-simulation FMU at `fmu`, and whether it says that it has no state (STATIC).
 
     It must be valid against FMI's schema. The standard's further rules are left to a compliance check: FMUs by common
     tools break some of them and run well.
@@ -28,42 +35,35 @@ def read_description(fmu: Path) -> ModelDescription:
     Raises:
         SystemFileError: no such file, not an FMU, invalid XML (with its line), another FMI version, no co-simulation.
     """
-    try:
-        if not fmu.is_file():
-            raise SystemFileError(not_a_file(fmu))
-        with zipfile.ZipFile(fmu) as archive:
-            tree = etree.fromstring(archive.read("modelDescription.xml"))
-    except (zipfile.BadZipFile, zlib.error):
-        raise SystemFileError(f"{fmu}: not an FMU (not a sound zip file)") from None
-    except OSError as error:
-        raise SystemFileError(f"{fmu}: cannot be read: {error.strerror or error}") from None
-    except KeyError:
-        raise SystemFileError(f"{fmu}: not an FMU (there is no modelDescription.xml in it)") from None
-    except etree.XMLSyntaxError as error:
-        raise SystemFileError(f"{fmu}: modelDescription.xml, line {error.lineno}: {error.msg}") from None
+    with opened(fmu, "an FMU") as archive:
+        tree = parsed(archive, DESCRIPTION, f"{fmu}")
     version = tree.get("fmiVersion")
     if version != "2.0":
         raise SystemFileError(f"{fmu}: is an FMU of FMI version {version}; FMI 2.0 is wanted")
     if tree.find("CoSimulation") is None:
-        raise SystemFileError(f"{fmu}: is no co-simulation FMU (modelDescription.xml has no CoSimulation element)")
+        raise SystemFileError(f"{fmu}: is no co-simulation FMU ({DESCRIPTION} has no CoSimulation element)")
     schema = _fmi2_schema()
     if not schema.validate(tree):
         problem = schema.error_log[0]
-        raise SystemFileError(f"{fmu}: modelDescription.xml, line {problem.line}: {problem.message}")
-    return read_model_description(str(fmu), validate=False)
+        raise SystemFileError(f"{fmu}: {DESCRIPTION}, line {problem.line}: {problem.message}")
+    identifier = tree.find("CoSimulation").get("modelIdentifier")
+    if not identifier.isidentifier():
+        raise SystemFileError(f"{fmu}: the modelIdentifier '{identifier}' is no C identifier")
+    try:
+        description = read_model_description(str(fmu), validate=False)
+    except Exception as error:  # fmpy raises whatever comes where numbers or indices of a valid document make no sense
+        raise SystemFileError(f"{fmu}: {DESCRIPTION}: {' '.join(str(error).split())}") from None
+    return description, tree.find(STATIC) is not None  # fmpy keeps no vendor annotations
 
 
 def unpack(fmu: Path, directory: Path) -> None:
     """Extract the FMU into `directory`; names that would lead out of it are cut to stay inside.
 
     Raises:
-        SystemFileError: a damaged file.
+        SystemFileError: a damaged file, or one that is too large.
     """
-    try:
-        with zipfile.ZipFile(fmu) as archive:
-            archive.extractall(directory)
-    except (zipfile.BadZipFile, zlib.error) as error:
-        raise SystemFileError(f"{fmu}: the file is damaged ({error})") from None
+    with opened(fmu, "an FMU") as archive:
+        archive.extractall(directory)
 
 
 @cache

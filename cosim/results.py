@@ -33,14 +33,16 @@ class Result:
         system: the system's name.
         step: the communication step size [s].
         time: (n,) [s].
-        names: `<element>.<variable>` of the m columns: all numeric outputs, element by element, as the FMUs list them.
+        names: of the m columns: `<element>.<variable>` of all numeric outputs, element by element, as the FMUs list them;
+            then the system's own output connectors by their names.
         values: (n, m); enumerations and integers as they are, booleans as 0 and 1.
         units, descriptions: by column name; "" where the FMU has none.
         kinds: "Real", "Integer", "Boolean" or "Enumeration", by column name.
         items: for enumerations, by column name, the item names by their values.
         step_ns: (n - 1,) wall time of each fmi2DoStep [ns], by element.
         messages: what the FMUs logged, in order.
-        upstream: for each element those whose outputs reach its inputs, directly or through others.
+        sources: for each element those whose outputs drive its inputs.
+        notes: what whoever reads the numbers should know of how they came about, a line each.
     """
 
     system: str
@@ -54,7 +56,8 @@ class Result:
     items: Mapping[str, Mapping[int, str]]
     step_ns: Mapping[str, np.ndarray]
     messages: Sequence[Message]
-    upstream: Mapping[str, frozenset[str]]
+    sources: Mapping[str, frozenset[str]]
+    notes: Sequence[str] = ()
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The column `name`, or "time" [s]; (n,).

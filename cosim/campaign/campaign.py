@@ -31,7 +31,7 @@ from cosim.fmu import Value, unit_of
 from cosim.master import count_steps, start_values
 from cosim.report.estimates import Pair, paired
 from cosim.system import read_ssp
-from cosim.system.system import ResolvedSystem, find_variable, resolve
+from cosim.system.resolve import ResolvedSystem, find_variable, resolve
 from cosim.whole import whole
 
 QUESTION, RUNS, TABLE = "campaign.json", "runs", "runs.csv"
@@ -110,12 +110,16 @@ def campaign(
     with tempfile.TemporaryDirectory(prefix="campaign-") as directory:
         resolved = resolve(read_ssp(system, Path(directory)))
     typed = start_values(resolved, overrides)
-    overrides = {path: typed[path.partition(".")[0]][path.partition(".")[2]] for path in overrides}
+    overrides = {path: _typed(resolved, typed, path, value) for path, value in overrides.items()}
     check(vary, resolved, overrides, runs)
     stop, step = resolved.experiment(stop, step)
     count_steps(resolved.system.start, stop, step)
     found = _rated(resolved)
-    parameters = tuple(p.truth for p in found if f"parameter.{p.variable}" in resolved.variables[p.truth.split(".")[0]])
+    parameters = tuple(
+        p.truth
+        for p in found
+        if f"parameter.{p.variable}" in resolved.variables[find_variable(resolved.variables, p.truth)[0]]
+    )
     experiment = Experiment(overrides, stop, step, settle, parameters)
     digest = hashlib.sha256(system.read_bytes()).hexdigest()
     _open_folder(out, {"system": digest, "vary": dict(vary), "seed": seed, **asdict(experiment)})
@@ -146,7 +150,7 @@ def _rated(resolved: ResolvedSystem) -> list[Pair]:
         for variable in description.modelVariables
         if variable.causality == "output" and variable.type == "Real"
     ]
-    found = paired(names, resolved.upstream())
+    found = paired(names, resolved.sources())
     if not found:
         raise ExperimentError(
             f"system '{resolved.system.name}' has no estimate beside its truth "
@@ -154,6 +158,14 @@ def _rated(resolved: ResolvedSystem) -> list[Pair]:
             "there is nothing to rate"
         )
     return found
+
+
+def _typed(resolved: ResolvedSystem, typed: Mapping[str, Mapping[str, Value]], path: str, value: Value) -> Value:
+    """The value of an override as its variable takes it; of a connector of the system as it was given."""
+    if path in resolved.system.connectors:
+        return value
+    element, variable = find_variable(resolved.variables, path)
+    return typed[element][variable.name]
 
 
 def _unit(resolved: ResolvedSystem, path: str) -> str:
@@ -237,7 +249,7 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             stack.enter_context(dask.config.set({"distributed.scheduler.worker-saturation": 1.0}))
             with _interrupt_ignored():
                 cluster = LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
                 )
             yield stack.enter_context(Client(stack.enter_context(cluster)))
             return

@@ -1,34 +1,36 @@
 """The master: it couples the FMUs of a system by fixed communication steps and records what they put out.
 
 In every instant all outputs are read, all inputs set, and then every element steps (Jacobi): no element sees another's
-future, and the order of the elements does not matter. Outputs that depend directly on inputs are read after those.
+future, and the order of the elements does not matter; `cosim.master.schedule` says what FMUs without a state do instead.
 """
 
 from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter_ns
 
 import numpy as np
-from fmpy.fmi2 import fmi2Warning
 
 from cosim.errors import ExperimentError
 from cosim.fmu import Value, typed_value, unpack
-from cosim.master.record import Access, Record
-from cosim.master.schedule import output_levels
-from cosim.master.signals import checked, driving
-from cosim.master.slave import RunError, Slave
-from cosim.results import Result
+from cosim.master.record import Allocate, Record, allocate
+from cosim.master.schedule import Schedule, schedule
+from cosim.master.signals import Signal, checked, sampled
+from cosim.master.slave import CALLS, TERMINATE, RunError, Slave
+from cosim.master.stepping import initialise, step_all
+from cosim.results import Result, read_csv
 from cosim.system import System, read_ssp
-from cosim.system.system import ResolvedSystem, find_variable, resolve
+from cosim.system.resolve import ResolvedSystem, find_variable, resolve
+from cosim.system.transformation import apply
 
 STEP_TOLERANCE = 1e-6  # of a step: how far the stop time may lie from a whole number of steps
-PROGRESS_REPORTS = 200  # per run
 MOST_STEPS = 10**8  # the record of a plant and an observer then takes 15 GB
+
+Inputs = Mapping[str, np.ndarray] | Path
 
 
 def run(
@@ -37,19 +39,23 @@ def run(
     stop: float | None = None,
     step: float | None = None,
     overrides: Mapping[str, Value] | None = None,
-    inputs: Mapping[str, np.ndarray] | None = None,
+    inputs: Inputs | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
-    """Run a system, given as such or as an .ssp file, from its start time to `stop`.
+    """Run a system, given as such or as an .ssp file, from its start time to `stop`, in this process.
+
+    An FMU that crashes takes the process with it, and one whose step never ends holds it for ever:
+    `cosim.master.watched.run` does the same in a process of its own.
 
     Args:
         system: what to run.
         stop: stop time [s]; default: the system's.
         step: communication step size [s]; default: the system's.
-        overrides: start values of parameters and unconnected inputs, `{"plant.sensor.seed": 7}`; text is read as the
-            variable's type asks.
-        inputs: values of unconnected inputs at all communication points, the last included, by path.
-        progress: called now and then with the number of steps done and of all steps.
+        overrides: start values of parameters and unconnected inputs, `{"plant.sensor.seed": 7}`, and values of the system's
+            own connectors by their names; text is read as the variable's type asks.
+        inputs: values of unconnected inputs and of the system's input connectors at all communication points, the last
+            included; or a file as `cosim.results.write_columns` makes, with other times.
+        progress: called now and then with the number of steps done and of all.
 
     Raises:
         SystemFileError: the system or its file is not sound.
@@ -59,25 +65,81 @@ def run(
     """
     with ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cosim-"))).resolve()
-        if not isinstance(system, System):
-            system = read_ssp(Path(system), directory)
-        resolved = resolve(system)
-        stop, step = resolved.experiment(stop, step)
-        steps = count_steps(system.start, stop, step)
-        values = start_values(resolved, overrides or {})
-        signals = checked(inputs or {}, resolved, overrides or {}, steps)
+        made = prepare(system, directory, stop=stop, step=step, overrides=overrides, inputs=inputs)
+        return perform(made, directory, progress=progress)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run that has been checked and waits for its FMUs.
+
+    Attributes:
+        resolved: the system.
+        stop, step, steps: the experiment [s].
+        values: the start values, by element and variable.
+        signals: the inputs given beforehand.
+        order: the schedule.
+        record: the record, still empty.
+        here: takes what the run is at, see `step_all`.
+    """
+
+    resolved: ResolvedSystem
+    stop: float
+    step: float
+    steps: int
+    values: Mapping[str, Mapping[str, Value]]
+    signals: Sequence[Signal]
+    order: Schedule
+    record: Record
+    here: np.ndarray
+
+
+def prepare(
+    system: System | Path | str,
+    directory: Path,
+    *,
+    stop: float | None = None,
+    step: float | None = None,
+    overrides: Mapping[str, Value] | None = None,
+    inputs: Inputs | None = None,
+    allocate: Allocate = allocate,
+) -> Prepared:
+    """Everything about a run that can be wrong before an FMU is loaded. Arguments and errors as of `run`; `directory` is for its FMUs."""
+    if not isinstance(system, System):
+        system = read_ssp(Path(system), directory)
+    resolved = resolve(system)
+    stop, step = resolved.experiment(stop, step)
+    start, overrides = resolved.system.start, overrides or {}
+    steps = count_steps(start, stop, step)
+    values = start_values(resolved, overrides)
+    times = start + np.arange(steps + 1) * step
+    given = _read(inputs, resolved, times) if isinstance(inputs, Path) else inputs or {}
+    signals = checked(given, resolved, overrides, steps)
+    order = schedule(resolved, [(s.element, s.variable.name) for s in signals])
+    try:
+        record = Record(resolved, start, step, steps, allocate)
+    except MemoryError:
+        raise ExperimentError(f"the record of {steps} steps of {step:g} s does not fit into memory") from None
+    record.notes = [*resolved.notes, *order.notes]
+    return Prepared(resolved, stop, step, steps, values, signals, order, record, allocate("here", (2,), np.int64))
+
+
+def perform(made: Prepared, directory: Path, progress: Callable[[int, int], None] | None = None) -> Result:
+    """Load the FMUs, unpacked into `directory`, and run.
+
+    Raises:
+        SystemFileError: an FMU is damaged.
+        RunError: an FMU failed; `partial` of the error has the rows up to there.
+    """
+    resolved, record, here = made.resolved, made.record, made.here.data
+    with ExitStack() as stack:
         try:
-            record = Record(resolved, output_levels(resolved), system.start, step, steps)
-        except MemoryError:
-            raise ExperimentError(f"the record of {steps} steps of {step:g} s does not fit into memory") from None
-        try:
-            slaves = _instantiate(resolved, directory, record, stack)
-            # What is given beforehand is set first, so that outputs that depend on it directly are read after it.
-            exchange = [*driving(signals, slaves), *record.exchange(slaves)]
-            _initialise(slaves, resolved, values, exchange, stop)
-            _step_all(slaves, exchange, record, steps, step, progress)
+            slaves = _instantiate(resolved, directory, record, here, stack)
+            initialise(slaves, resolved, made.values, made.signals, made.order, record, made.stop)
+            step_all(slaves, resolved, made.signals, made.order, record, made.steps, made.step, here, progress)
             for slave in slaves.values():
-                slave.call(stop, lambda fmu: fmu.terminate())
+                slave.at(TERMINATE)
+                slave.call(made.stop, lambda fmu: fmu.terminate())
         except RunError as error:
             error.partial = record.result()
             raise
@@ -105,7 +167,7 @@ def count_steps(start: float, stop: float, step: float) -> int:
 
 
 def start_values(resolved: ResolvedSystem, overrides: Mapping[str, Value]) -> dict[str, dict[str, Value]]:
-    """The values to set before initialisation, by element and variable: the system's own and the overrides.
+    """The values to set before the run, by element and variable: the system's own and the overrides.
 
     Raises:
         ExperimentError: an override of an unknown or connected variable, or a value that it cannot take.
@@ -116,6 +178,9 @@ def start_values(resolved: ResolvedSystem, overrides: Mapping[str, Value]) -> di
         if path in driver:
             raise ExperimentError(f"'{path}' cannot be set: it is connected to '{driver[path]}'")
         try:
+            if path in resolved.system.connectors:
+                _set_connector(resolved, path, value, values)
+                continue
             element, variable = find_variable(resolved.variables, path)
             values[element][variable.name] = typed_value(variable, value)
         except ValueError as error:
@@ -123,69 +188,40 @@ def start_values(resolved: ResolvedSystem, overrides: Mapping[str, Value]) -> di
     return values
 
 
-def _instantiate(resolved: ResolvedSystem, directory: Path, record: Record, stack: ExitStack) -> dict[str, Slave]:
+def _set_connector(resolved: ResolvedSystem, name: str, value: Value, values: dict[str, dict[str, Value]]) -> None:
+    """Pass the `value` of a connector of the system on to what it supplies."""
+    reached = [s for s in resolved.supplies if s.connector == name]
+    if not reached:
+        kind = resolved.system.connectors[name].kind
+        raise ValueError(f"'{name}' cannot be set: the connector, of the kind {kind}, supplies nothing")
+    for s in reached:
+        given = typed_value(s.variable, value) if s.steps and s.variable.type != "Real" else value
+        given = float(given) if s.steps and s.variable.type == "Real" else given
+        values[s.target][s.variable.name] = typed_value(s.variable, apply(s.steps, given))
+
+
+def _read(file: Path, resolved: ResolvedSystem, times: np.ndarray) -> dict[str, np.ndarray]:
+    try:
+        columns = read_csv(file)
+    except OSError as error:
+        raise ExperimentError(f"{file}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ExperimentError(str(error)) from None
+    return sampled(columns, str(file), resolved, times)
+
+
+def _instantiate(
+    resolved: ResolvedSystem, directory: Path, record: Record, here: memoryview, stack: ExitStack
+) -> dict[str, Slave]:
     """Unpack each FMU once and instantiate the elements; `stack` frees them in the end."""
     unpacked: dict[Path, Path] = {}
     slaves: dict[str, Slave] = {}
-    for name, element in resolved.system.elements.items():
+    for i, (name, element) in enumerate(resolved.system.elements.items()):
         if element.fmu not in unpacked:
             target = directory / f"fmu-{len(unpacked)}"
             unpack(element.fmu, target)
             unpacked[element.fmu] = target
-        slaves[name] = Slave(
-            name, resolved.descriptions[name], unpacked[element.fmu], record.messages, resolved.system.start
-        )
+        description, start = resolved.descriptions[name], resolved.system.start
+        slaves[name] = Slave(name, description, unpacked[element.fmu], record.messages, start, here, i * len(CALLS))
         stack.callback(slaves[name].free)
     return slaves
-
-
-def _initialise(
-    slaves: Mapping[str, Slave],
-    resolved: ResolvedSystem,
-    values: Mapping[str, Mapping[str, Value]],
-    exchange: list[Access],
-    stop: float,
-) -> None:
-    start = resolved.system.start
-    for name, slave in slaves.items():
-        for variable, value in values[name].items():
-            slave.set(resolved.variables[name][variable], value, start)
-        slave.call(start, lambda fmu: fmu.setupExperiment(startTime=start, stopTime=stop))
-        slave.call(start, lambda fmu: fmu.enterInitializationMode())
-    _exchange(exchange, 0, slaves, start)
-    for slave in slaves.values():
-        slave.call(start, lambda fmu: fmu.exitInitializationMode())
-
-
-def _step_all(
-    slaves: Mapping[str, Slave],
-    exchange: list[Access],
-    record: Record,
-    steps: int,
-    step: float,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    times = record.time.tolist()
-    # A memoryview stores a number faster than an array does.
-    stepping = [(name, s.do_step, s.component, record.step_ns[name].data) for name, s in slaves.items()]
-    report = max(1, steps // PROGRESS_REPORTS)
-    for i in range(steps):
-        _exchange(exchange, i, slaves, times[i])
-        record.rows = i + 1
-        for name, do_step, component, durations in stepping:
-            begin = perf_counter_ns()
-            status = do_step(component, times[i], step, 1)
-            durations[i] = perf_counter_ns() - begin
-            if status > fmi2Warning:
-                raise slaves[name].failure("fmi2DoStep", status, times[i])
-        if progress is not None and (i + 1) % report == 0:
-            progress(i + 1, steps)
-    _exchange(exchange, steps, slaves, times[steps])
-    record.rows = steps + 1
-
-
-def _exchange(exchange: list[Access], row: int, slaves: Mapping[str, Slave], time: float) -> None:
-    for function, component, refs, count, address, stride, name in exchange:
-        status = function(component, refs, count, address + row * stride)
-        if status > fmi2Warning:
-            raise slaves[name].failure(function.__name__, status, time)

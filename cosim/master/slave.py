@@ -32,7 +32,22 @@ FMI_KIND = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boo
 # tuple; many tools put aarch64 binaries under the names for x86 nevertheless.
 PLATFORMS = (fmpy.platform_tuple, fmpy.platform) if fmpy.architecture == "aarch64" else (fmpy.platform,)
 _WORTH_LOGGING = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending")
+# What an FMU may be at when it goes down or never comes back; the place of a call among these is what `Slave.at` notes.
+CALLS = (
+    "the loading of its library",
+    "fmi2Instantiate",
+    "the calls before fmi2EnterInitializationMode",
+    "fmi2EnterInitializationMode",
+    "fmi2ExitInitializationMode",
+    "fmi2SetXXX",
+    "fmi2DoStep",
+    "fmi2GetXXX",
+    "fmi2Terminate",
+    "fmi2FreeInstance",
+)
+LOAD, INSTANTIATE, SET_UP, ENTER, EXIT, SET, STEP, GET, TERMINATE, FREE = range(len(CALLS))
 _ACCESS = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+_GET_STATUS = (ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)
 _DO_STEP = (ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
 
 
@@ -75,15 +90,26 @@ _FREE = fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
 class Slave:
     """An instance of the FMU unpacked in `directory`; `free` it in the end, whatever happened.
 
-    `messages` receives what it logs. Calls that the FMU answers with more than a warning raise RunError.
+    `messages` receives what it logs. Calls that the FMU answers with more than a warning raise RunError. `here` takes the
+    number of the call that it is at, counted from `place`: see `CALLS`.
     """
 
     def __init__(
-        self, name: str, description: ModelDescription, directory: Path, messages: list[Message], start: float
+        self,
+        name: str,
+        description: ModelDescription,
+        directory: Path,
+        messages: list[Message],
+        start: float,
+        here: memoryview | None = None,
+        place: int = 0,
     ):
         self.name = name
+        self.place = place
+        self._here = here if here is not None else np.zeros(1, np.int64).data
         self._messages = messages
         self._dead = False
+        self.at(LOAD)
         identifier = description.coSimulation.modelIdentifier
         binaries = directory / "binaries"
         candidates = [binaries / folder / f"{identifier}{fmpy.sharedLibraryExtension}" for folder in PLATFORMS]
@@ -115,6 +141,7 @@ class Slave:
             raise
         self.component = self._fmu.component
         self.do_step = self._function("fmi2DoStep", _DO_STEP)
+        self.get_status = self._function("fmi2GetStatus", _GET_STATUS)
 
     def _instantiate(self, description: ModelDescription, start: float) -> None:
         callbacks = fmi2.fmi2CallbackFunctions(
@@ -122,6 +149,7 @@ class Slave:
         )
         if addLoggerProxy is not None:
             addLoggerProxy(ctypes.byref(callbacks))
+        self.at(INSTANTIATE)
         try:
             self._fmu.instantiate(callbacks=callbacks, loggingOn=True)
         except Exception as error:  # fmpy raises no narrower type when the FMU returns NULL
@@ -130,6 +158,10 @@ class Slave:
         wanted = [category for category in _WORTH_LOGGING if category in declared]
         if wanted:
             self._fmu.setDebugLogging(True, wanted)
+
+    def at(self, call: int) -> None:
+        """Note that the next call is number `call` of CALLS."""
+        self._here[0] = self.place + call
 
     def _function(self, name: str, arguments: tuple[Any, ...]) -> Any:
         """The FMU's function with arguments as plain numbers: fmpy's own wrappers cost 100 times as much per call."""
@@ -174,6 +206,7 @@ class Slave:
 
     def free(self) -> None:
         """Release the instance and its library. After fmi2Fatal nothing of the FMU may be called: both stay."""
+        self.at(FREE)
         if not self._dead:
             self._fmu.freeInstance()
         del _sinks[self._environment]

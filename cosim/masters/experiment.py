@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.master import count_steps
 from cosim.system import read_ssp
-from cosim.system.system import resolve
+from cosim.system.resolve import resolve
 
 # What a tool recorded: columns (n,) by name, `time` [s] first, then `<element>.<variable>`; row 0 after initialisation,
 # row i after step i, as in results.csv.

@@ -19,7 +19,7 @@ from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
 from libcosimpy.CosimObserver import CosimObserver
 
 from cosim.masters.experiment import Experiment, MasterError, Recording
-from cosim.system.ssp_writer import STRUCTURE
+from cosim.system.ssp_files import STRUCTURE
 
 NANOSECOND = 1e9  # in a second
 # libcosim's time series hold no other types.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,27 +26,44 @@ class Pair(NamedTuple):
 
 def pairs(result: Result) -> list[Pair]:
     """Every estimate of `result` with every truth of the same variable in an element that it observes, in the estimates' order."""
-    return paired(result.names, result.upstream)
+    return paired(result.names, result.sources)
 
 
-def paired(names: Sequence[str], upstream: Mapping[str, frozenset[str]]) -> list[Pair]:
-    """The same among the columns called `names`; `upstream` are the elements that an element observes."""
+def paired(names: Sequence[str], sources: Mapping[str, frozenset[str]]) -> list[Pair]:
+    """The same among the columns called `names`; `sources` are the elements that drive an element's inputs."""
     truths: dict[str, list[tuple[str, str]]] = {}
-    for name in names:
-        element, kind, variable = _parts(name)
+    parts = {name: _parts(name, sources) for name in names}
+    for name, (element, kind, variable) in parts.items():
         if kind in TRUTHS:
             truths.setdefault(variable, []).append((element, name))
     found: list[Pair] = []
-    for name in names:
-        observer, kind, variable = _parts(name)
+    observed: dict[str, set[str]] = {}
+    for name, (observer, kind, variable) in parts.items():
         if kind == "estimate":
-            seen = (truth for element, truth in truths.get(variable, ()) if element in upstream[observer])
+            if observer not in observed:
+                observed[observer] = _upstream(observer, sources)
+            seen = (truth for element, truth in truths.get(variable, ()) if element in observed[observer])
             found.extend(Pair(variable, name, truth) for truth in seen)
     return found
 
 
-def _parts(name: str) -> tuple[str, str, str]:
-    """`plant.x.x1` as (plant, x, x1); empty what is not there."""
-    element, _, rest = name.partition(".")
-    kind, _, variable = rest.partition(".")
-    return element, kind, variable
+def _upstream(element: str, sources: Mapping[str, frozenset[str]]) -> set[str]:
+    """The elements whose outputs reach the inputs of `element`, directly or through others."""
+    found: set[str] = set()
+    waiting = [*sources[element]]
+    while waiting:
+        source = waiting.pop()
+        if source not in found:
+            found.add(source)
+            waiting.extend(sources.get(source, ()))
+    return found
+
+
+def _parts(name: str, elements: Collection[str]) -> tuple[str, str, str]:
+    """`plant.x.x1` as (plant, x, x1); empty what is not there. An element of a nested system has dots in its name."""
+    words = name.split(".")
+    for i in range(1, len(words)):
+        element = ".".join(words[:i])
+        if element in elements:
+            return element, words[i], ".".join(words[i + 1 :])
+    return "", "", ""

@@ -2,6 +2,6 @@
 
 from cosim.system.ssp_reader import read_ssp
 from cosim.system.ssp_writer import write_ssp
-from cosim.system.system import Element, System
+from cosim.system.system import Connector, Element, System
 
-__all__ = ["Element", "System", "read_ssp", "write_ssp"]
+__all__ = ["Connector", "Element", "System", "read_ssp", "write_ssp"]

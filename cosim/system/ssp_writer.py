@@ -7,28 +7,22 @@ defined for it (`osp:FixedStepAlgorithm` in the default experiment), which libco
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from urllib.parse import quote
 
-import fmpy
 from fmpy.model_description import ModelVariable
 from lxml import etree
 
 from cosim.errors import SystemFileError
 from cosim.fmu import Value, enumeration_items, unit_of
-from cosim.system.system import BASE_UNIT, ResolvedSystem, System, resolve
+from cosim.system.resolve import ResolvedSystem, resolve
+from cosim.system.ssp_files import OSP, OSP_ANNOTATION, SSC, SSD, SSV, STRUCTURE, validate
+from cosim.system.system import System
+from cosim.system.units import EXPONENTS
+from cosim.whole import whole
 
-SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
-SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
-SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
-OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
-STRUCTURE = "SystemStructure.ssd"
-OSP_ANNOTATION = "com.opensimulationplatform"
 # Ecos and libcosim group parameter sets by this name, and their own examples call it so.
 PARAMETER_SET = "initialValues"
 
@@ -42,9 +36,12 @@ def write_ssp(system: System, path: Path) -> None:
     have a value. An FMU that several elements use is stored once.
 
     Raises:
-        SystemFileError: the system contradicts its FMUs (see `cosim.system.resolve`), or two FMUs share a file name.
+        SystemFileError: the system contradicts its FMUs (see `cosim.system.resolve`), two FMUs share a file name, or it is
+            nested or has connectors or transformations, which only files of other tools have.
         OSError: the file cannot be written; what was there before is unchanged.
     """
+    if system.connectors or system.routes or any("." in name for name in system.elements):
+        raise SystemFileError(f"system '{system.name}': only flat systems without connectors of their own are written")
     resolved = resolve(system)
     files: dict[str, Path] = {}
     for element in system.elements.values():
@@ -59,38 +56,14 @@ def write_ssp(system: System, path: Path) -> None:
 
 
 def _write_archive(content: Mapping[str, bytes], path: Path) -> None:
-    """First under another name, then renamed: never half a file. (fmu_src writes FMUs likewise; cosim does not import it.)"""
+    """Never half a file. (fmu_src writes FMUs likewise; cosim does not import it.)"""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-            for name in sorted(content):
-                entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
-                entry.external_attr = 0o644 << 16
-                entry.create_system = 3  # as on Unix, wherever it is written
-                archive.writestr(entry, content[name])
-        os.chmod(temporary, 0o644)  # mkstemp lets the owner only read
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-
-
-def validate(element: etree._Element, schema: str, where: str) -> None:
-    """Check `element` against one of SSP's schemas, "SystemStructureDescription" or "SystemStructureParameterValues".
-
-    Raises:
-        SystemFileError: it is invalid; the message names `where` and the line.
-    """
-    checker = _schema(schema)
-    if not checker.validate(element):
-        problem = checker.error_log[0]
-        raise SystemFileError(f"{where}, line {problem.line}: {problem.message}")
-
-
-@cache
-def _schema(name: str) -> etree.XMLSchema:
-    return etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "ssp" / "schema" / f"{name}.xsd"))
+    with whole(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+        for name in sorted(content):
+            entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            entry.external_attr = 0o644 << 16
+            entry.create_system = 3  # as on Unix, wherever it is written
+            archive.writestr(entry, content[name])
 
 
 def _structure(resolved: ResolvedSystem) -> bytes:
@@ -202,7 +175,7 @@ def _add_units(root: etree._Element, resolved: ResolvedSystem) -> None:
         used = {unit_of(variable) for _, variable in _connectors(resolved, name)}
         for unit in description.unitDefinitions:
             if unit.name in used and unit.baseUnit is not None:
-                base = {key: _literal(getattr(unit.baseUnit, key)) for key in BASE_UNIT}
+                base = {key: _literal(getattr(unit.baseUnit, key)) for key in (*EXPONENTS, "factor", "offset")}
                 if found.setdefault(unit.name, base) != base:
                     raise SystemFileError(f"element '{name}': another FMU defines the unit '{unit.name}' differently")
     if found:

@@ -117,6 +117,11 @@ def describe(
         stopTime=_real(component.stop_time),
         stepSize=_real(component.step_size),
     )
+    if component.start.size1_out(0) == 0:
+        # FMI has no word for it: outputs that follow from inputs, parameters and time alone. A master that knows can make this
+        # FMU step last, with the others' newest outputs, and so lose no step on the way (cosim.master.schedule).
+        annotations = etree.SubElement(root, "VendorAnnotations")
+        etree.SubElement(etree.SubElement(annotations, "Tool", name="observer-fmus"), "Static")
     model_variables = etree.SubElement(root, "ModelVariables")
     for reference, entry in enumerate(variables):
         _scalar_variable(model_variables, reference, entry)

@@ -28,7 +28,7 @@ from cosim.campaign.variation import draw
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master import run
 from cosim.system import Element, System, read_ssp, write_ssp
-from cosim.system.system import resolve
+from cosim.system.resolve import resolve
 from fmu_src import export
 from observers.ukf import ukf
 from reference_models.duffing import DUFFING

@@ -209,7 +209,7 @@ def test_a_record_that_memory_has_no_room_for_is_refused(observed: System, monke
     def full(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(np, "empty", full)
+    monkeypatch.setattr(np, "zeros", full)
     with pytest.raises(ExperimentError, match=r"record of 10 steps of 0\.1 s does not fit into memory"):
         run(observed, stop=1.0, step=0.1)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cosim.fmu import Value
 from cosim.system import Element, System, write_ssp
-from cosim.system.ssp_writer import STRUCTURE
+from cosim.system.ssp_files import STRUCTURE
 
 
 def coupled(

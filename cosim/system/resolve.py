@@ -1,0 +1,311 @@
+"""Looks up every name of a system in its FMUs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmpy.model_description import ModelDescription, ModelVariable
+
+from cosim.errors import ExperimentError, SystemFileError, suggest
+from cosim.fmu import Value, read_fmu, typed_value, unit_of
+from cosim.system.route import Quantity, Route, conversions, fitted
+from cosim.system.system import Connector, Element, System
+from cosim.system.transformation import Transformation, apply
+from cosim.system.units import Unit, fmu_units
+
+INTEGERS = ("Integer", "Enumeration")  # the two types that travel as fmi2Integer
+SHOWN = 4  # names in a note
+
+
+@dataclass(frozen=True)
+class Connection:
+    """An output of one element that drives an input of another, after `steps`."""
+
+    source: str
+    output: ModelVariable
+    target: str
+    input: ModelVariable
+    steps: tuple[Transformation, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.source}.{self.output.name} -> {self.target}.{self.input.name}"
+
+
+@dataclass(frozen=True)
+class Supply:
+    """An input or parameter of an element that a connector of the system gives its value."""
+
+    connector: str
+    target: str
+    variable: ModelVariable
+    steps: tuple[Transformation, ...]
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """An output of an element that a connector of the system shows, in `unit` ("" if it has none)."""
+
+    connector: str
+    source: str
+    output: ModelVariable
+    steps: tuple[Transformation, ...]
+    unit: str
+
+
+@dataclass(frozen=True)
+class ResolvedSystem:
+    """A system whose every name has been found in its FMUs.
+
+    Attributes:
+        system: what was resolved.
+        descriptions: the model description of each element.
+        variables: the variables of each element by name.
+        static: the elements whose FMUs say that they have no state.
+        connections: the connections between elements, in the system's order.
+        supplies, exposures: those from and to the system's connectors.
+        parameters: each element's parameter values, typed as their variables are.
+        notes: what whoever runs it should know.
+    """
+
+    system: System
+    descriptions: dict[str, ModelDescription]
+    variables: dict[str, dict[str, ModelVariable]]
+    static: frozenset[str]
+    connections: list[Connection]
+    supplies: list[Supply]
+    exposures: list[Exposure]
+    parameters: dict[str, dict[str, Value]]
+    notes: list[str]
+
+    def drivers(self) -> dict[str, str]:
+        """What drives each connected input: the path of an output, or the name of a connector; by the input's path."""
+        found = {f"{c.target}.{c.input.name}": f"{c.source}.{c.output.name}" for c in self.connections}
+        return found | {f"{s.target}.{s.variable.name}": s.connector for s in self.supplies}
+
+    def sources(self) -> dict[str, frozenset[str]]:
+        """For each element those whose outputs drive its inputs."""
+        found: dict[str, set[str]] = {name: set() for name in self.system.elements}
+        for c in self.connections:
+            found[c.target].add(c.source)
+        return {name: frozenset(sources) for name, sources in found.items()}
+
+    def experiment(self, stop: float | None = None, step: float | None = None) -> tuple[float, float]:
+        """Stop time and step [s]: as given, else as the system says, else as its FMUs' default experiments say.
+
+        Raises:
+            ExperimentError: nobody says.
+        """
+        defaults = [d.defaultExperiment for d in self.descriptions.values() if d.defaultExperiment is not None]
+        stops = [float(d.stopTime) for d in defaults if d.stopTime is not None]
+        steps = [float(d.stepSize) for d in defaults if d.stepSize is not None]
+        return (
+            self._first("stop time", stop, self.system.stop, max(stops, default=None)),
+            self._first("step size", step, self.system.step, min(steps, default=None)),
+        )
+
+    def _first(self, what: str, *candidates: float | None) -> float:
+        for value in candidates:
+            if value is not None:
+                return value
+        raise ExperimentError(f"system '{self.system.name}' and its FMUs name no {what}: give one")
+
+
+def resolve(system: System) -> ResolvedSystem:
+    """Read the FMUs of `system` and look up every name in them.
+
+    Raises:
+        SystemFileError: an FMU that cannot be used, an unknown element or variable, a parameter value of the wrong
+            kind, a connection whose ends do not fit together, an input that is driven twice.
+    """
+    if not system.elements:
+        raise SystemFileError(f"system '{system.name}' has no elements")
+    _check_names(system)
+    read: dict[Path, tuple[ModelDescription, dict[str, ModelVariable], dict[str, Unit]]] = {}
+    stateless: set[Path] = set()
+    for name, element in system.elements.items():
+        if element.fmu not in read:
+            made, static = read_fmu(element.fmu)
+            stateless |= {element.fmu} if static else set()
+            read[element.fmu] = (made, {v.name: v for v in made.modelVariables}, fmu_units(made))
+        elif read[element.fmu][0].coSimulation.canBeInstantiatedOnlyOncePerProcess:
+            raise SystemFileError(f"element '{name}': {element.fmu.name} can be instantiated only once per process")
+    descriptions = {name: read[element.fmu][0] for name, element in system.elements.items()}
+    variables = {name: read[element.fmu][1] for name, element in system.elements.items()}
+    units = {name: read[element.fmu][2] for name, element in system.elements.items()}
+    notes = list(system.notes)
+    for name, element in system.elements.items():
+        _check_connectors(name, element, variables[name])
+    connections, supplies, exposures = _Ends(system, variables, units).connect()
+    unknown: list[str] = []
+    parameters = {
+        name: _parameters(system.name, name, element, variables[name], units[name], unknown)
+        for name, element in system.elements.items()
+    }
+    if unknown:
+        notes.append(f"parameters of which the elements know nothing are left out: {listed(unknown)}")
+    static_elements = frozenset(name for name, element in system.elements.items() if element.fmu in stateless)
+    return ResolvedSystem(
+        system, descriptions, variables, static_elements, connections, supplies, exposures, parameters, notes
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first of `names`, and how many more there are."""
+    rest = len(names) - SHOWN
+    return ", ".join(names[:SHOWN]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def find_variable(variables: Mapping[str, Mapping[str, ModelVariable]], path: str) -> tuple[str, ModelVariable]:
+    """Element name and variable of `<element>.<variable>`.
+
+    Raises:
+        ValueError: there is none; the message lists near matches.
+    """
+    parts = path.split(".")
+    if len(parts) < 2 or not all(parts[:2]):
+        raise ValueError(f"'{path}' is not of the form <element>.<variable>")
+    # An element of a nested system has dots in its name; no element's name begins with another's and a dot.
+    found = (".".join(parts[:i]) for i in range(1, len(parts)))
+    element = next((name for name in found if name in variables), None)
+    if element is None:
+        raise ValueError(f"there is no element '{parts[0]}' ({path}); {suggest(parts[0], variables)}")
+    name = path[len(element) + 1 :]
+    if name not in variables[element]:
+        raise ValueError(f"element '{element}' has no variable '{name}'; {suggest(name, variables[element])}")
+    return element, variables[element][name]
+
+
+def _check_names(system: System) -> None:
+    for name in system.elements:
+        parts = name.split(".")
+        if not all(parts):
+            raise SystemFileError(f"system '{system.name}': element name '{name}' must not be empty, nor a part of it")
+        for i in range(1, len(parts)):
+            if ".".join(parts[:i]) in system.elements:
+                raise SystemFileError(
+                    f"system '{system.name}': the names of the elements '{'.'.join(parts[:i])}' and '{name}' are ambiguous"
+                )
+
+
+def _check_connectors(name: str, element: Element, variables: Mapping[str, ModelVariable]) -> None:
+    """What the file says of the element's connectors is what the FMU says."""
+    for label, connector in element.connectors.items():
+        variable = variables.get(label)
+        if variable is None:
+            raise SystemFileError(
+                f"element '{name}': its FMU has no variable '{label}' for the connector; {suggest(label, variables)}"
+            )
+        if connector.kind != variable.causality:
+            raise SystemFileError(
+                f"element '{name}': connector '{label}' is of the kind {connector.kind}, the FMU's variable of {variable.causality}"
+            )
+        if connector.type is not None and not _alike(connector.type, variable.type):
+            raise SystemFileError(
+                f"element '{name}': connector '{label}' is of the type {connector.type}, the FMU's variable of {variable.type}"
+            )
+
+
+def _alike(one: str, other: str) -> bool:
+    return one == other or (one in INTEGERS and other in INTEGERS)
+
+
+def _parameters(
+    system: str,
+    name: str,
+    element: Element,
+    variables: Mapping[str, ModelVariable],
+    units: Mapping[str, Unit],
+    unknown: list[str],
+) -> dict[str, Value]:
+    found: dict[str, Value] = {}
+    for label, given in element.parameters.items():
+        if label not in variables and element.lenient:
+            unknown.append(f"{name}.{label}")
+            continue
+        try:
+            variable = find_variable({name: variables}, f"{name}.{label}")[1]
+            if isinstance(given, Quantity):
+                steps = fitted(conversions(given.route, None, units.get(unit_of(variable))), None, variable)
+                given = apply(steps, float(given.value) if variable.type == "Real" and steps else given.value)
+            found[label] = typed_value(variable, given)
+        except (ValueError, OverflowError) as error:
+            raise SystemFileError(f"system '{system}', parameters of '{name}': {error}") from None
+    return found
+
+
+class _Ends:
+    """The ends of the system's connections, found in its FMUs and connectors."""
+
+    def __init__(
+        self,
+        system: System,
+        variables: Mapping[str, Mapping[str, ModelVariable]],
+        units: Mapping[str, Mapping[str, Unit]],
+    ):
+        self._system, self._variables, self._units = system, variables, units
+        self._drivers: dict[str, str] = {}
+
+    def connect(self) -> tuple[list[Connection], list[Supply], list[Exposure]]:
+        connections, supplies, exposures = [], [], []
+        own = self._system.connectors
+        for start, end in self._system.connections:
+            label = f"connection {start} -> {end}"
+            try:
+                if start in own:
+                    target, variable = find_variable(self._variables, end)
+                    if own[start].kind != variable.causality or variable.type == "String":
+                        raise ValueError(
+                            f"'{start}' is an {own[start].kind}, '{end}' a {variable.causality} ({variable.type})"
+                        )
+                    steps = self._steps(end, own[start].unit, self._unit(target, variable), None, variable)
+                    self._check_type(start, own[start], variable)
+                    supplies.append(Supply(start, target, variable, steps))
+                elif end in own:
+                    source, output = self._output(start)
+                    unit = own[end].unit or self._unit(source, output)
+                    steps = self._steps(end, self._unit(source, output), unit, output, output)
+                    self._check_type(end, own[end], output)
+                    exposures.append(Exposure(end, source, output, steps, unit.name if unit else ""))
+                else:
+                    connections.append(self._connection(start, end))
+            except ValueError as error:
+                if isinstance(error, SystemFileError):
+                    raise
+                raise SystemFileError(f"system '{self._system.name}', {label}: {error}") from None
+            if end in self._drivers:
+                raise SystemFileError(
+                    f"system '{self._system.name}': input '{end}' is driven by '{self._drivers[end]}' and by '{start}'"
+                )
+            self._drivers[end] = start
+        return connections, supplies, exposures
+
+    def _connection(self, start: str, end: str) -> Connection:
+        (source, output), (target, goal) = self._output(start), find_variable(self._variables, end)
+        if goal.causality != "input":
+            raise ValueError(f"'{end}' is no input (its causality is {goal.causality})")
+        if not _alike(output.type, goal.type):
+            raise ValueError(f"the types {output.type} and {goal.type} differ")
+        steps = self._steps(end, self._unit(source, output), self._unit(target, goal), output, goal)
+        return Connection(source, output, target, goal, steps)
+
+    def _output(self, path: str) -> tuple[str, ModelVariable]:
+        element, variable = find_variable(self._variables, path)
+        if variable.causality != "output":
+            raise ValueError(f"'{path}' is no output (its causality is {variable.causality})")
+        if variable.type == "String":
+            raise ValueError("text cannot be exchanged")
+        return element, variable
+
+    def _unit(self, element: str, variable: ModelVariable) -> Unit | None:
+        return self._units[element].get(unit_of(variable))
+
+    def _steps(
+        self, end: str, source: Unit | None, target: Unit | None, output: ModelVariable | None, goal: ModelVariable
+    ) -> tuple[Transformation, ...]:
+        return fitted(conversions(self._system.routes.get(end, Route()), source, target), output, goal)
+
+    def _check_type(self, name: str, connector: Connector, variable: ModelVariable) -> None:
+        if connector.type is not None and not _alike(connector.type, variable.type):
+            raise ValueError(f"the connector '{name}' is of the type {connector.type}, the variable of {variable.type}")

@@ -1,0 +1,108 @@
+"""The files in an .ssp file: XML of SSP 1.0, found in the zip, checked against SSP's schemas."""
+
+from __future__ import annotations
+
+import posixpath
+import zipfile
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from urllib.parse import unquote
+
+import fmpy
+from lxml import etree
+
+from cosim.archive import LARGEST, parsed
+from cosim.errors import SystemFileError, suggest
+
+SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+SSV = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+SSM = "http://ssp-standard.org/SSP1/SystemStructureParameterMapping"
+OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
+NAMESPACES = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "ssm": SSM, "osp": OSP}
+STRUCTURE = "SystemStructure.ssd"
+OSP_ANNOTATION = "com.opensimulationplatform"
+
+DEEPEST = 16  # systems in systems: a file that holds itself never ends otherwise
+
+
+@dataclass
+class Package:
+    """An opened .ssp file, and what reading it has used up.
+
+    Attributes:
+        archive: the open file.
+        label: how messages call it.
+        directory: where its FMUs are written.
+        depth: how many .ssp files it lies in.
+        inflated: bytes written so far, by it and by what it lies in: one list for all.
+        version: of the .ssd file, "1.0" or "2.0".
+    """
+
+    archive: zipfile.ZipFile
+    label: str
+    directory: Path
+    depth: int = 0
+    inflated: list[int] = field(default_factory=lambda: [0])
+    version: str = "1.0"
+
+    def member(self, source: str, base: str = "") -> str:
+        """The archive's member that a URI relative to the file `base` means.
+
+        Raises:
+            SystemFileError: there is none.
+        """
+        member = posixpath.normpath(posixpath.join(posixpath.dirname(base), unquote(source)))
+        if member not in self.archive.NameToInfo:
+            raise SystemFileError(f"{self.label}: '{source}' is not in it; {suggest(member, self.archive.namelist())}")
+        return member
+
+    def xml(self, member: str, schema: str) -> etree._Element:
+        """The root of an XML file that is valid by `schema`.
+
+        Raises:
+            SystemFileError: there is no such member, or it is no such file (with its line).
+        """
+        root = parsed(self.archive, member, self.label)
+        validate(root, schema, f"{self.label}: {member}")
+        return root
+
+    def extract(self, member: str) -> Path:
+        """Write a member into the directory.
+
+        Raises:
+            SystemFileError: this file and those that it lies in would inflate beyond the limit.
+        """
+        self.inflated[0] += self.archive.getinfo(member).file_size
+        if self.inflated[0] > LARGEST:
+            raise SystemFileError(
+                f"{self.label}: more than {LARGEST / 2**30:g} GiB when inflated, the most that is unpacked"
+            )
+        return Path(self.archive.extract(member, self.directory))
+
+
+def validate(element: etree._Element, schema: str, where: str) -> None:
+    """Check `element` against one of SSP's schemas, such as "SystemStructureDescription".
+
+    Files of SSP 2.0 use the same namespaces: what they have of SSP 1.0 is read, what SSP 1.0 does not know is refused.
+
+    Raises:
+        SystemFileError: it is invalid; the message names `where` and the line.
+    """
+    later = element.get("version", "").startswith("2.")
+    if later:
+        element.set("version", "1.0")
+    checker = _schema(schema)
+    if not checker.validate(element):
+        problem = checker.error_log[0]
+        reason = problem.message
+        for namespace in NAMESPACES.values():
+            reason = reason.replace(f"{{{namespace}}}", "")
+        more = " (the file is of SSP 2.0: only what SSP 1.0 has, too, is supported)" if later else ""
+        raise SystemFileError(f"{where}, line {problem.line}: {reason}{more}")
+
+
+@cache
+def _schema(name: str) -> etree.XMLSchema:
+    return etree.XMLSchema(file=str(Path(fmpy.__file__).parent / "ssp" / "schema" / f"{name}.xsd"))
