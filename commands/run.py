@@ -26,6 +26,14 @@ def run(
         typer.Option("--out", metavar="DIR", help="Where the files go.", show_default="results/<name of the file>"),
     ] = None,
     assignments: Assignments = None,
+    input_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--input",
+            metavar="FILE.csv",
+            help="Values of the system's input connectors and of unconnected inputs: a column `time`, then one by the name of each.",
+        ),
+    ] = None,
     stop: Annotated[float | None, typer.Option(help="Stop time in seconds.", show_default="the system's")] = None,
     step: Annotated[
         float | None, typer.Option(help="Communication step size in seconds.", show_default="the system's")
@@ -41,7 +49,7 @@ def run(
     overrides = split_assignments(assignments)
     try:
         with late_progress() as progress:
-            result = run_system(system, stop=stop, step=step, overrides=overrides, progress=progress)
+            result = run_system(system, stop=stop, step=step, overrides=overrides, inputs=input_file, progress=progress)
         failure = None
     except (SystemFileError, ExperimentError) as error:
         fail(str(error), 2)
@@ -94,5 +102,7 @@ def _summarise(result: Result, directory: Path) -> None:
         out.print(
             Text(f"{len(warnings)} {noun}, the first by {first.element}: {first.text}", style="yellow"), soft_wrap=True
         )
+    for note in result.notes:
+        out.print(Text(f"note: {note}", style="yellow"), soft_wrap=True)
     for file in ("results.csv", "report.html"):
         out.print(Text(str(directory / file)), soft_wrap=True)

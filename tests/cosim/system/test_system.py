@@ -15,8 +15,8 @@ from lxml import etree
 
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.system import Element, System, read_ssp, write_ssp
-from cosim.system.ssp_files import SSV, STRUCTURE
 from cosim.system.resolve import resolve
+from cosim.system.ssp_files import SSV, STRUCTURE
 
 Build = Callable[[str], Path]
 
