@@ -11,12 +11,19 @@ from fmu_src.platforms import PLATFORMS, resolve
 
 HOST = resolve(["host"])[0]
 SOURCE = Path(__file__).parent / "strict" / "strict.c"
-FAILURES = {
-    name: number
-    for number, name in enumerate(
-        ["none", "exit", "crash", "endless", "pending_for_ever", "pending_once", "abort_at_get", "set_for_ever", "noise", "report_tolerance"]
-    )
-}
+# By their numbers, from 0: values of the parameter `failure`.
+FAILURES = (
+    "none",
+    "exit",
+    "crash",
+    "endless",
+    "pending_for_ever",
+    "pending_once",
+    "abort_at_get",
+    "set_for_ever",
+    "noise",
+    "report_tolerance",
+)
 UNITS = {
     "m": '<BaseUnit m="1"/>',
     "km": '<BaseUnit m="1" factor="1000"/>',
@@ -49,6 +56,7 @@ def description(
         return f'<ScalarVariable name="{name}" valueReference="{reference}" {attributes}><Real{unit}{start}/></ScalarVariable>'
 
     fixed = 'causality="parameter" variability="fixed"'
+    discrete = 'causality="input" variability="discrete"'
     calculated = 'causality="output" initial="calculated"'
     units = "".join(f'<Unit name="{name}">{base}</Unit>' for name, base in UNITS.items())
     items = '<Item name="{}" value="1"/><Item name="{}" value="2"/>'
@@ -72,12 +80,12 @@ def description(
 {real("y", 1, calculated, unit_out)}
 {real("gain", 2, fixed, "", ' start="1"')}
 {real("fail_time", 3, fixed, "s", ' start="0"')}
-<ScalarVariable name="n" valueReference="0" causality="input" variability="discrete"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="n" valueReference="0" {discrete}><Integer start="0"/></ScalarVariable>
 <ScalarVariable name="m" valueReference="1" {calculated} variability="discrete"><Integer/></ScalarVariable>
 <ScalarVariable name="failure" valueReference="2" {fixed}><Integer start="0"/></ScalarVariable>
-<ScalarVariable name="e" valueReference="3" causality="input" variability="discrete"><Enumeration declaredType="In" start="1"/></ScalarVariable>
+<ScalarVariable name="e" valueReference="3" {discrete}><Enumeration declaredType="In" start="1"/></ScalarVariable>
 <ScalarVariable name="f" valueReference="4" {calculated} variability="discrete"><Enumeration declaredType="Out"/></ScalarVariable>
-<ScalarVariable name="b" valueReference="0" causality="input" variability="discrete"><Boolean start="false"/></ScalarVariable>
+<ScalarVariable name="b" valueReference="0" {discrete}><Boolean start="false"/></ScalarVariable>
 <ScalarVariable name="c" valueReference="1" {calculated} variability="discrete"><Boolean/></ScalarVariable>
 </ModelVariables>
 <ModelStructure><Outputs>{unknowns}</Outputs></ModelStructure>

@@ -292,7 +292,7 @@ def test_a_system_needs_elements_with_plain_names(built: Build) -> None:
     with pytest.raises(SystemFileError, match="system 'empty' has no elements"):
         resolve(System("empty", {}))
     for name in ("", "a..b", ".a", "a."):
-        with pytest.raises(SystemFileError, match="element name '.*' must not be empty, nor a part of it"):
+        with pytest.raises(SystemFileError, match=r"element name '.*' must not be empty, nor a part of it"):
             resolve(System("dotted", {name: Element(built("duffing"))}))
     two = {"a": Element(built("duffing")), "a.b": Element(built("duffing"))}
     with pytest.raises(SystemFileError, match=r"the names of the elements 'a' and 'a\.b' are ambiguous"):
