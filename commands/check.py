@@ -11,8 +11,7 @@ from rich.markup import escape
 
 from commands.console import err, fail, say
 from fmu_src.compliance.check import check as check_fmu
-from fmu_src.compliance.files.package import NotAnFmu
-from fmu_src.compliance.finding import Report
+from fmu_src.compliance.finding import CannotCheck, Report, one_line
 from fmu_src.compliance.junit import write_junit
 
 _OUTPUT = Console(soft_wrap=True, highlight=False)
@@ -36,9 +35,14 @@ def check(
         try:
             with err.status(escape(str(path))) as status:
                 report = check_fmu(path, lambda rule: status.update(escape(f"{path}: {rule}")))  # noqa: B023  # called here only
-        except NotAnFmu as error:
+        except CannotCheck as error:
             say(str(error))
             refused[path] = str(error)
+            continue
+        except Exception as error:  # a fault of the check itself: the other FMUs are checked all the same
+            reason = f"{path}: the check failed: {type(error).__name__}: {one_line(str(error))}"
+            say(reason)
+            refused[path] = reason
             continue
         reports.append(report)
         _show(report)

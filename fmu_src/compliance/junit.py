@@ -7,8 +7,16 @@ from pathlib import Path
 
 from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
 
-from fmu_src.compliance.finding import Report
+from fmu_src.compliance.finding import Finding, Report
 from fmu_src.compliance.rules import RULES
+
+
+def _failure(finding: Finding) -> Failure:
+    """All subjects of the cause are in its text; the message names the first ones."""
+    failure = Failure(str(finding), type_=finding.rule)
+    if finding.more:
+        failure.text = "\n".join(finding.subjects)
+    return failure
 
 
 def write_junit(reports: list[Report], refused: Mapping[Path, str], path: Path) -> None:
@@ -22,9 +30,9 @@ def write_junit(reports: list[Report], refused: Mapping[Path, str], path: Path) 
         suite = TestSuite(report.fmu.name)
         for rule in report.checked:
             case = TestCase(f"{rule} [{RULES[rule].section}]: {RULES[rule].demand}", classname=report.fmu.stem)
-            found = [str(finding) for finding in report.findings if finding.rule == rule]
+            found = [finding for finding in report.findings if finding.rule == rule]
             if found:
-                case.result = [Failure(text, type_=rule) for text in found]
+                case.result = [_failure(finding) for finding in found]
             suite.add_testcase(case)
         for number, note in enumerate(report.notes, start=1):
             suite.add_property(f"note {number}", note)

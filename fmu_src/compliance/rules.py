@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fmu_src.compliance.finding import Finding
+from fmu_src.compliance.finding import Finding, one_line
 
 
 @dataclass(frozen=True)
@@ -19,12 +19,17 @@ STATIC = {
     "zip-sound": Rule("2.3", "every file in the archive is intact"),
     "zip-method": Rule("2.3", "files are deflated or stored, no other method"),
     "zip-path": Rule("2.3", "paths are relative, with forward slashes, without . and .., each there once"),
+    "zip-link": Rule("2.3", "what is in the archive is files and folders, no links"),
     "xml-schema": Rule("2.2", "modelDescription.xml is valid against FMI's schema"),
-    "fmpy-validation": Rule("2.2", "what fmpy validates: names, units, start values, causalities, completeness"),
+    "fmpy-validation": Rule("2.2", "what fmpy validates: units, start values, causalities, completeness"),
+    "variable-name": Rule("2.2.9", "names keep to the naming convention, and no name has a control character"),
+    "name-branch": Rule("2.2.9", "structured: no variable has the name of a branch (x beside x.y)"),
     "guid": Rule("2.2.1", "the guid is not empty"),
     "model-identifier": Rule("4.3.1", "the modelIdentifier is a C identifier"),
     "state-flags": Rule("4.3.1", "canSerializeFMUstate needs canGetAndSetFMUstate"),
-    "default-experiment": Rule("2.2.5", "stop time not before start time, step size and tolerance positive"),
+    "default-experiment": Rule(
+        "2.2.5", "numbers are finite, stop time not before start time, step size and tolerance positive"
+    ),
     "log-category": Rule("2.2.4", "log categories have different names"),
     "unit-name": Rule("2.2.2", "units have different names"),
     "type-name": Rule("2.2.3", "types have different names, and none a variable's"),
@@ -68,6 +73,14 @@ DYNAMIC = {
     "set-calculated": Rule("2.2.7", "what is calculated cannot be set"),
     "start-value": Rule("2.2.7", "inputs, parameters and constants start as modelDescription.xml says"),
     "set-get": Rule("2.1.7", "an input or tunable parameter that is set reads as it was set"),
+    "directional-derivative": Rule(
+        "2.1.9", "providesDirectionalDerivative: directional derivatives are those of finite differences"
+    ),
+    "continuous-states": Rule(
+        "3.2.1", "model exchange: states that are set read as set, and have positive nominal values"
+    ),
+    "state-derivatives": Rule("3.2.2", "model exchange: derivatives and event indicators are finite along a run"),
+    "event-mode": Rule("3.2.2", "model exchange: event mode can be entered, and its iteration ends"),
     "nan-input": Rule("4.2.1", "NaN or infinite inputs do not crash, hang or ruin the FMU"),
     "input-derivatives": Rule("4.2.1", "canInterpolateInputs: fmi2SetRealInputDerivatives works"),
     "output-derivatives": Rule("4.2.1", "maxOutputDerivativeOrder: fmi2GetRealOutputDerivatives works"),
@@ -94,4 +107,4 @@ RULES = STATIC | DYNAMIC
 
 def finding(rule: str, subject: str, expected: str, found: str) -> Finding:
     """A finding under one of RULES: `subject` is a variable, file or function."""
-    return Finding(rule, RULES[rule].section, subject, expected, found)
+    return Finding(rule, RULES[rule].section, one_line(subject), one_line(expected), one_line(found))

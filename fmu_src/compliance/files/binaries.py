@@ -10,8 +10,9 @@ from pathlib import Path, PurePosixPath
 
 import fmpy
 
-from fmu_src.compliance.files.description import Description
+from fmu_src.compliance.files.description import Description, is_identifier
 from fmu_src.compliance.files.libraries import Library, read_library
+from fmu_src.compliance.files.systems import is_named, is_part_of, names_in
 from fmu_src.compliance.finding import Finding
 from fmu_src.compliance.rules import finding
 from fmu_src.errors import ExportError
@@ -32,18 +33,8 @@ FOLDERS = {
     "aarch64-darwin": (".dylib", "aarch64"),
 }
 
-# What every machine of a platform has. glibc kept some of itself in libraries of their own until 2.34.
-_SYSTEM = {
-    ".so": re.compile(
-        r"(lib(c|m|pthread|dl|rt|util)\.so\.6|lib(pthread|dl|rt|util)\.so\.\d|ld-linux[\w-]*\.so\.\d|libc\.musl-.*)\Z"
-    ),
-    ".dll": re.compile(
-        r"(kernel32|kernelbase|ntdll|msvcrt|ucrtbase|user32|gdi32|advapi32|shell32|shlwapi|ole32|oleaut32|rpcrt4|ws2_32|winmm"
-        r"|bcrypt|bcryptprimitives|crypt32|userenv|version|psapi|dbghelp|iphlpapi|api-ms-win-[\w-]+)\.dll\Z",
-        re.IGNORECASE,
-    ),
-    ".dylib": re.compile(r"/usr/lib/|/System/Library/"),
-}
+# Where an FMU may say which further libraries it needs.
+_DECLARATIONS = ("documentation/externalDependencies.txt", "documentation/externalDependencies.html")
 
 
 def check_binaries(directory: Path, description: Description) -> Iterator[Finding]:
@@ -56,24 +47,34 @@ def check_binaries(directory: Path, description: Description) -> Iterator[Findin
     for name in description.source_files:
         if name not in sources:
             yield finding("source-files", f"sources/{name}", "the listed file", "none")
+    declared = names_in("".join(_text(directory / name) for name in _DECLARATIONS))
     for folder in sorted({path.parts[1] for path in binaries}):
         if folder in FOLDERS:
-            beside = {path.name for path in binaries if path.parts[1] == folder}
-            yield from _check_platform(directory, description, folder, beside)
+            beside = {path.name for path in binaries if path.parts[1] == folder and len(path.parts) == 3}
+            yield from _check_platform(directory, description, folder, beside, declared)
         else:
             yield finding("platform-folder", f"binaries/{folder}", f"one of {', '.join(FOLDERS)}", folder)
 
 
-def host_library(description: Description) -> str | None:
-    """The path in the FMU of the library for this machine; None where FMI has no name for the machine."""
+def host_library(identifier: str) -> str | None:
+    """The path in the FMU of the library for this machine; None where FMI has no name for the machine.
+
+    None too where the identifier is none: as a file's name it might lead out of the FMU.
+    """
     try:
         folder = resolve(["host"])[0]
     except ExportError:
         return None
-    return f"binaries/{folder}/{description.identifier}{FOLDERS[folder][0]}"
+    return f"binaries/{folder}/{identifier}{FOLDERS[folder][0]}" if is_identifier(identifier) else None
 
 
-def _check_platform(directory: Path, description: Description, folder: str, beside: set[str]) -> Iterator[Finding]:
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+
+def _check_platform(
+    directory: Path, description: Description, folder: str, beside: set[str], declared: frozenset[str]
+) -> Iterator[Finding]:
     suffix, machine = FOLDERS[folder]
     for interface, identifier in description.identifiers.items():
         path = f"binaries/{folder}/{identifier}{suffix}"
@@ -91,25 +92,25 @@ def _check_platform(directory: Path, description: Description, folder: str, besi
         missing = sorted(functions(interface) - library.exports)
         if missing:
             yield finding("exports", path, f"all functions of {interface} exported", f"{', '.join(missing)} missing")
-        if not description.says("needsExecutionTool"):  # else the FMU says itself that it is not complete
-            yield from _check_dependencies(path, library, suffix, beside)
+        if not description.says("needsExecutionTool", interface):  # else the FMU says itself that it is not complete
+            yield from _check_dependencies(path, library, suffix, beside, declared)
 
 
-def _check_dependencies(path: str, library: Library, suffix: str, beside: set[str]) -> Iterator[Finding]:
-    system = _SYSTEM[suffix]
+def _check_dependencies(
+    path: str, library: Library, suffix: str, beside: set[str], declared: frozenset[str]
+) -> Iterator[Finding]:
     own = {PurePosixPath(path).name} | beside
-    strangers = sorted(
-        name for name in library.needed if not system.match(name) and PurePosixPath(name).name not in own
-    )
+    others = {name for name in library.needed if not is_part_of(suffix, name) and PurePosixPath(name).name not in own}
+    strangers = sorted(name for name in others if not is_named(name, declared))
     if strangers:
-        expected = "what the system has, or what lies beside it"
+        expected = "what the system has, what lies beside it, or what externalDependencies.txt names"
         yield finding("needed-libraries", path, expected, ", ".join(strangers))
     open_symbols = sorted(
         name
         for name, provider in library.undefined.items()
         if not (provider in library.needed if provider else _is_in_libc(name))
     )
-    if open_symbols and not strangers and not library.needed & own:
+    if open_symbols and not others and not library.needed & own:
         yield finding("undefined-symbols", path, "symbols of libc and libm", ", ".join(open_symbols))
 
 

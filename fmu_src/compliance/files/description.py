@@ -6,6 +6,7 @@ Read without fmpy, whose reader gives up at the first inconsistency that a rule 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,8 @@ from lxml import etree
 
 TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
 Value = float | int | bool | str
+
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -45,33 +48,49 @@ class Variable:
 
     @property
     def settable_before_initialization(self) -> bool:
-        return self.causality == "input" or (self.variability != "constant" and self.initial in ("exact", "approx"))
+        return self.variability != "constant" and self.initial in ("exact", "approx")
 
     @property
     def settable_in_steps(self) -> bool:
         return self.causality == "input" or (self.causality == "parameter" and self.variability == "tunable")
 
 
+INTERFACES = ("CoSimulation", "ModelExchange")
+
+
 @dataclass(frozen=True)
 class Description:
-    """What the rules need. `identifier` and `flags` are of co-simulation; where there is none, of model exchange."""
+    """What the rules need. `interfaces`: the attributes of the elements CoSimulation and ModelExchange, those that are there.
+
+    `derivatives`, `initial_unknowns`: the indices in these lists of ModelStructure. `direct`: by the index of an output the inputs, by
+    index, on which it may depend without a step; all where it does not say.
+    """
 
     guid: str
-    is_cosimulation: bool
-    identifiers: dict[str, str]  # by element, CoSimulation and ModelExchange
-    flags: dict[str, str]
+    convention: str  # of variables' names: flat or structured
+    interfaces: dict[str, dict[str, str]]
     source_files: tuple[str, ...]
     experiment: dict[str, float]
     categories: tuple[str, ...]
+    derivatives: tuple[int, ...]
+    initial_unknowns: tuple[int, ...]
+    direct: dict[int, frozenset[int]]
+    indicators: int  # how many event indicators there are
     variables: tuple[Variable, ...] = field(repr=False)
 
     @property
-    def identifier(self) -> str:
-        return self.identifiers["CoSimulation" if self.is_cosimulation else "ModelExchange"]
+    def identifiers(self) -> dict[str, str]:
+        """By interface."""
+        return {name: attributes.get("modelIdentifier", "") for name, attributes in self.interfaces.items()}
 
-    def says(self, flag: str) -> bool:
-        """Is this capability flag true?"""
-        return self.flags.get(flag) in ("true", "1")
+    def says(self, flag: str, interface: str) -> bool:
+        """Is this capability flag of the interface true?"""
+        return self.interfaces.get(interface, {}).get(flag) in ("true", "1")
+
+
+def is_identifier(text: str) -> bool:
+    """Is it a C identifier? As a file's name it then leads to no other folder."""
+    return bool(_IDENTIFIER.match(text))
 
 
 @cache
@@ -82,23 +101,39 @@ def schema() -> etree.XMLSchema:
 
 def read(root: etree._Element) -> Description:
     """The record of a document that is valid against the schema."""
-    interfaces = {name: root.find(name) for name in ("CoSimulation", "ModelExchange")}
-    present = {name: element for name, element in interfaces.items() if element is not None}
-    main = present.get("CoSimulation", present.get("ModelExchange"))
-    assert main is not None  # the schema asks for one
+    elements = [element for element in root if element.tag in INTERFACES]
     experiment = root.find("DefaultExperiment")
+    variables = tuple(_variables(root))
     return Description(
         guid=root.get("guid", ""),
-        is_cosimulation="CoSimulation" in present,
-        identifiers={name: element.get("modelIdentifier", "") for name, element in present.items()},
-        flags=dict(main.attrib),
+        convention=root.get("variableNamingConvention", "flat"),
+        interfaces={str(element.tag): dict(element.attrib) for element in elements},
         source_files=tuple(
-            dict.fromkeys(file.get("name", "") for element in present.values() for file in element.iter("File"))
+            dict.fromkeys(file.get("name", "") for element in elements for file in element.iter("File"))
         ),
         experiment={} if experiment is None else {name: float(value) for name, value in experiment.attrib.items()},
         categories=tuple(element.get("name", "") for element in root.iterfind("LogCategories/Category")),
-        variables=tuple(_variables(root)),
+        derivatives=_listed(root, "Derivatives"),
+        initial_unknowns=_listed(root, "InitialUnknowns"),
+        direct=_direct(root, variables),
+        indicators=int(root.get("numberOfEventIndicators", "0")),
+        variables=variables,
     )
+
+
+def _listed(root: etree._Element, name: str) -> tuple[int, ...]:
+    """The indices in a list of ModelStructure."""
+    return tuple(int(unknown.get("index", "0")) for unknown in root.iterfind(f"ModelStructure/{name}/Unknown"))
+
+
+def _direct(root: etree._Element, variables: tuple[Variable, ...]) -> dict[int, frozenset[int]]:
+    inputs = frozenset(variable.index for variable in variables if variable.causality == "input")
+    listed = {}
+    for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
+        dependencies = unknown.get("dependencies")
+        known = inputs if dependencies is None else inputs & frozenset(map(int, dependencies.split()))
+        listed[int(unknown.get("index", "0"))] = known
+    return listed
 
 
 def _variables(root: etree._Element) -> list[Variable]:

@@ -39,7 +39,12 @@ def read_library(path: Path) -> Library:
         ValueError: it is not of this format.
     """
     readers: dict[str, Callable[[Path], Library]] = {".so": _elf, ".dll": _pe, ".dylib": _macho}
-    return readers[path.suffix](path)
+    try:
+        return readers[path.suffix](path)
+    except ValueError:
+        raise
+    except Exception as error:  # of whatever kind: the readers follow a damaged file's numbers wherever they lead
+        raise ValueError(f"a damaged file ({type(error).__name__}: {error})") from None
 
 
 def _elf(path: Path) -> Library:

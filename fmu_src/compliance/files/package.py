@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import stat
+import struct
 import zipfile
 import zlib
 from collections import Counter
@@ -11,79 +13,133 @@ from pathlib import Path, PurePosixPath
 
 from lxml import etree
 
-from fmu_src.compliance.finding import Finding
+from fmu_src.compliance.finding import CannotCheck, Finding
 from fmu_src.compliance.rules import finding
 
+DESCRIPTION = "modelDescription.xml"
+# What an FMU may inflate to. Its archive says so beforehand, and no more than that is ever read from it.
+MOST_BYTES = 2 << 30
+MOST_BYTES_OF_DESCRIPTION = 128 << 20
+MOST_FILES = 100_000
+
 _METHODS = (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)
+# What zipfile raises at damaged archives: besides its own error those of what it stumbles over, and RuntimeError for encrypted files.
+_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, EOFError, ValueError, LookupError, OverflowError)
 
 
-class NotAnFmu(ValueError):
+class NotAnFmu(CannotCheck, ValueError):
     """The file cannot be checked; the message names it and says why."""
 
 
 @dataclass(frozen=True)
 class Package:
-    """An FMU 2.0: its file, the names in it, the document modelDescription.xml."""
+    """An FMU: its file, the names in it, the document modelDescription.xml, the version of FMI."""
 
     path: Path
     names: tuple[str, ...]
     root: etree._Element
-
-    def read(self, name: str) -> bytes:
-        with zipfile.ZipFile(self.path) as archive:
-            return archive.read(name)
+    version: str
 
 
 def open_package(path: Path) -> Package:
     """The FMU at `path`.
 
     Raises:
-        NotAnFmu: no such file, a folder, no zip file, no readable modelDescription.xml, another FMI version than 2.0.
+        NotAnFmu: no such file, a folder, no zip file, no readable modelDescription.xml, larger than what is checked here,
+            another FMI version than 2.0.
     """
-    if path.is_dir():
-        raise NotAnFmu(f"{path}: is a folder: an FMU is checked as it is handed on, as one file")
-    if not path.is_file():
-        raise NotAnFmu(f"{path}: there is no such file")
     try:
+        if path.is_dir():
+            raise NotAnFmu(f"{path}: is a folder: an FMU is checked as it is handed on, as one file")
+        if not path.is_file():
+            raise NotAnFmu(f"{path}: there is no such file")
         with zipfile.ZipFile(path) as archive:
+            _check_size(path, archive)
             names = tuple(archive.namelist())
-            root = etree.fromstring(archive.read("modelDescription.xml"))
+            document = archive.read(DESCRIPTION)
     except OSError as error:
         raise NotAnFmu(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (zipfile.BadZipFile, zlib.error, RuntimeError) as error:  # the last: encrypted, or an unknown method
-        raise NotAnFmu(f"{path}: not an FMU: no sound zip file ({error})") from None
     except KeyError:
-        raise NotAnFmu(f"{path}: not an FMU: there is no modelDescription.xml in it") from None
-    except etree.XMLSyntaxError as error:
-        raise NotAnFmu(f"{path}: modelDescription.xml, line {error.lineno}: {error.msg}") from None
+        raise NotAnFmu(f"{path}: not an FMU: there is no {DESCRIPTION} in it") from None
+    except NotAnFmu:
+        raise
+    except _DAMAGE as error:
+        raise NotAnFmu(f"{path}: not an FMU: no sound zip file ({error})") from None
+    root = _parsed(path, document)
     version = root.get("fmiVersion")
     if root.tag != "fmiModelDescription" or version != "2.0":
         raise NotAnFmu(f"{path}: is of FMI version {version or 'unknown'}; FMI 2.0 is checked here")
-    return Package(path, names, root)
+    return Package(path, names, root, version)
+
+
+def _check_size(path: Path, archive: zipfile.ZipFile) -> None:
+    """Before anything is inflated."""
+    entries = archive.infolist()
+    if len(entries) > MOST_FILES:
+        raise NotAnFmu(f"{path}: holds {len(entries)} files; at most {MOST_FILES} are checked here")
+    inflated = sum(entry.file_size for entry in entries)
+    if inflated > MOST_BYTES:
+        raise NotAnFmu(
+            f"{path}: inflates to {inflated / 2**30:.1f} GiB; at most {MOST_BYTES >> 30} GiB are checked here"
+        )
+    description = archive.getinfo(DESCRIPTION).file_size
+    if description > MOST_BYTES_OF_DESCRIPTION:
+        limit = MOST_BYTES_OF_DESCRIPTION >> 20
+        raise NotAnFmu(
+            f"{path}: {DESCRIPTION} inflates to {description / 2**20:.0f} MiB; at most {limit} MiB are checked here"
+        )
+
+
+def _parsed(path: Path, document: bytes) -> etree._Element:
+    try:
+        return etree.fromstring(document)
+    except etree.XMLSyntaxError as error:
+        raise NotAnFmu(f"{path}: {DESCRIPTION}, line {error.lineno}: {error.msg}") from None
+    except (ValueError, LookupError) as error:  # an encoding that does not exist
+        raise NotAnFmu(f"{path}: {DESCRIPTION} is no XML ({error})") from None
 
 
 def check_archive(package: Package) -> Iterator[Finding]:
-    """The rules zip-sound, zip-method and zip-path."""
+    """The rules zip-sound, zip-method, zip-path and zip-link."""
     with zipfile.ZipFile(package.path) as archive:
         for entry in archive.infolist():
             if entry.compress_type not in _METHODS:
                 yield finding("zip-method", entry.filename, "deflate (or stored)", f"method {entry.compress_type}")
-            elif not _is_intact(archive, entry):
-                yield finding("zip-sound", entry.filename, "an intact file", "a damaged one")
+            elif (damage := _damage(archive, entry)) is not None:
+                yield finding("zip-sound", entry.filename, "an intact file", damage)
             written = entry.orig_filename
             parts = PurePosixPath(written).parts
             if "\\" in written or written.startswith(("/", "./")) or ".." in parts or ":" in written.split("/")[0]:
                 yield finding("zip-path", written, "a relative path with forward slashes", f"'{written}'")
+            if stat.S_ISLNK(entry.external_attr >> 16):
+                yield finding("zip-link", entry.filename, "a file", "a link")
     for name, count in Counter(package.names).items():
         if count > 1:
             yield finding("zip-path", name, "each path once", f"it {count} times")
 
 
-def _is_intact(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bool:
+def unpack(package: Package, directory: Path) -> None:
+    """Into `directory`.
+
+    Raises:
+        NotAnFmu: there is no room for it, or the file system does not take a name.
+    """
+    with zipfile.ZipFile(package.path) as archive:
+        for entry in archive.infolist():
+            try:
+                archive.extract(entry, directory)
+            except OSError as error:
+                reason = f"{entry.filename[:60]}: {error.strerror or error}"
+                raise NotAnFmu(f"{package.path}: cannot be unpacked: {reason}") from None
+
+
+def _damage(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> str | None:
+    if entry.flag_bits & 1:
+        return "an encrypted one"
     try:
         with archive.open(entry) as file:
             while file.read(1 << 20):
                 pass
-    except (zipfile.BadZipFile, zlib.error):
-        return False
-    return True
+    except _DAMAGE:
+        return "a damaged one"
+    return None

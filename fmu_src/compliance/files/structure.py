@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator
 
-from fmpy.validation import validate_fmu
+from fmpy import read_model_description
+from fmpy.model_description import ValidationError
 from lxml import etree
 
-from fmu_src.compliance.files.description import Description, schema
+from fmu_src.compliance.files.description import Description, is_identifier, schema
 from fmu_src.compliance.files.package import Package
 from fmu_src.compliance.finding import Finding
 from fmu_src.compliance.rules import finding
 
 _LISTS = ("Outputs", "Derivatives", "InitialUnknowns")
-_IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z", re.ASCII)
 
 
 def check_schema(root: etree._Element) -> Iterator[Finding]:
@@ -27,17 +28,29 @@ def check_schema(root: etree._Element) -> Iterator[Finding]:
 
 
 def check_fmpy(package: Package, already_found: bool) -> Iterator[Finding]:
-    """fmpy's validation. Its reader stumbles over what other rules name; then it has no message of its own worth showing."""
+    """fmpy's validation but for names, which `names.py` looks after.
+
+    fmpy's reader stumbles over what other rules name; then it has no message of its own worth showing.
+    """
     names = {element.get("name") for element in package.root.iterfind("ModelVariables/ScalarVariable")}
-    for problem in validate_fmu(str(package.path)):
-        if problem.startswith("The file path"):  # that is the rule zip-path
-            continue
+    for problem in _problems(package):
         named = next((word for word in re.findall(r'"([^"]+)"', problem) if word in names), "modelDescription.xml")
         is_sentence = " " in problem
         if is_sentence and "index out of range" not in problem:
-            yield finding("fmpy-validation", named, "a description that fmpy accepts", problem)
+            expected = "a description that fmpy accepts"
+            yield finding("fmpy-validation", named, expected, re.sub(r" \(line \d+\)", "", problem))
         elif not already_found:
             yield finding("fmpy-validation", named, "a description that fmpy can read", problem)
+
+
+def _problems(package: Package) -> list[str]:
+    try:
+        read_model_description(str(package.path), validate_variable_names=False, validate_model_structure=True)
+    except ValidationError as error:
+        return list(error.problems)
+    except Exception as error:  # of whatever kind: its reader takes a consistent description for granted
+        return [str(error) or type(error).__name__]
+    return []
 
 
 def check_document(description: Description) -> Iterator[Finding]:
@@ -45,21 +58,31 @@ def check_document(description: Description) -> Iterator[Finding]:
     if not description.guid.strip():
         yield finding("guid", "guid", "a GUID", "none")
     for element, identifier in description.identifiers.items():
-        if not _IDENTIFIER.match(identifier):
+        if not is_identifier(identifier):
             yield finding("model-identifier", element, "a C identifier", f"'{identifier}'")
-    if description.says("canSerializeFMUstate") and not description.says("canGetAndSetFMUstate"):
-        yield finding("state-flags", "canSerializeFMUstate", "canGetAndSetFMUstate = true too", "false")
+    for interface in description.interfaces:
+        if description.says("canSerializeFMUstate", interface) and not description.says(
+            "canGetAndSetFMUstate", interface
+        ):
+            yield finding("state-flags", "canSerializeFMUstate", "canGetAndSetFMUstate = true too", "false")
     for name, count in Counter(description.categories).items():
         if count > 1:
             yield finding("log-category", name, "one category of this name", str(count))
-    experiment = description.experiment
-    start = experiment.get("startTime", 0.0)
-    if "stopTime" in experiment and not experiment["stopTime"] >= start:
-        found = f"{experiment['stopTime']:.10g}"
+    yield from _check_experiment(description.experiment)
+
+
+def _check_experiment(experiment: dict[str, float]) -> Iterator[Finding]:
+    for name, value in experiment.items():
+        if not math.isfinite(value):
+            yield finding("default-experiment", name, "a finite number", f"{value}")
+    finite = {name: value for name, value in experiment.items() if math.isfinite(value)}
+    start = finite.get("startTime", 0.0)
+    if "stopTime" in finite and finite["stopTime"] < start:
+        found = f"{finite['stopTime']:.10g}"
         yield finding("default-experiment", "stopTime", f"a time not before startTime = {start:.10g}", found)
     for name in ("stepSize", "tolerance"):
-        if name in experiment and not experiment[name] > 0:
-            yield finding("default-experiment", name, "a positive number", f"{experiment[name]:.10g}")
+        if name in finite and not finite[name] > 0:
+            yield finding("default-experiment", name, "a positive number", f"{finite[name]:.10g}")
 
 
 def check_structure(root: etree._Element, description: Description) -> Iterator[Finding]:
@@ -85,7 +108,7 @@ def check_structure(root: etree._Element, description: Description) -> Iterator[
                     expected = f"dependencies in 1..{len(variables)}"
                     yield finding("structure-index", f"{name}: {subject}", expected, str(known))
                 elif not _is_known(description, states, name, known):
-                    kind = f"the {variables[known - 1].causality} {variables[known - 1].name}"
+                    kind = f"the {variables[known - 1].causality} '{variables[known - 1].name}'"
                     yield finding("dependency-known", f"{name}: {subject}", "dependencies on knowns", kind)
 
 

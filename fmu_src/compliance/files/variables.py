@@ -86,7 +86,7 @@ def _aliases(description: Description) -> Iterator[Finding]:
         subject = ", ".join(variable.name for variable in aliases)
         settable = [v.name for v in aliases if v.settable_before_initialization or v.settable_in_steps]
         if len(settable) > 1:
-            found = f"value reference {reference} for {', '.join(settable)}"
+            found = f"value reference {reference} for {', '.join(map(repr, settable))}"
             yield finding("alias-settable", subject, "different value references of settable variables", found)
         constants = [variable for variable in aliases if variable.variability == "constant"]
         if constants and len(constants) < len(aliases):
@@ -97,4 +97,6 @@ def _aliases(description: Description) -> Iterator[Finding]:
             yield finding("alias-constant", subject, "equal start values of aliased constants", starts)
         units = sorted({variable.unit for variable in aliases})
         if len(units) > 1:
-            yield finding("alias-unit", subject, "one unit", " and ".join(unit or "none" for unit in units))
+            yield finding(
+                "alias-unit", subject, "one unit", " and ".join(f"'{unit}'" if unit else "none" for unit in units)
+            )

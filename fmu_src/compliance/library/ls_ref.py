@@ -21,7 +21,9 @@ from lxml import etree
 
 from fmu_src.compliance.files.description import Variable
 from fmu_src.compliance.finding import Finding
-from fmu_src.compliance.library.fmu import Fmu, Instance, Subject
+from fmu_src.compliance.library.calls import Subject
+from fmu_src.compliance.library.fmu import Fmu
+from fmu_src.compliance.library.instance import Instance
 from fmu_src.compliance.rules import finding
 
 FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
@@ -126,8 +128,8 @@ def _check_digest(related: etree._Element, source: str, file: Path) -> Iterator[
         yield finding("ls-ref-checksum", source, f"the {kind} {checksum.lower()}", digest)
 
 
-def read_experiments(file: Path, subject: Subject) -> list[Experiment]:
-    """The experiments of a file that have reference results.
+def read_experiments(directory: Path, file: Path, subject: Subject) -> list[Experiment]:
+    """The experiments of a file, of the FMU unpacked in `directory`, that have reference results.
 
     Raises:
         ValueError: not such a file, or one of the files that it names is missing or no CSV table.
@@ -136,12 +138,13 @@ def read_experiments(file: Path, subject: Subject) -> list[Experiment]:
         root = etree.parse(str(file)).getroot()
     except etree.XMLSyntaxError as error:
         raise ValueError(f"line {error.lineno}: {error.msg}") from None
+    directory = directory.resolve()
     found = []
     for element in root.iterfind("Experiment"):
         if element.find("References") is not None and element.find("Parameters") is None:
             simulation = element.find("TransientSimulation")
             settings = dict(element.attrib) | (dict(simulation.attrib) if simulation is not None else {})
-            reference = _table(file, element.find("References"))
+            reference = _table(directory, file, element.find("References"))
             stimuli = element.find("Stimuli")
             experiment = Experiment(
                 name=settings.get("name", "experiment"),
@@ -149,7 +152,7 @@ def read_experiments(file: Path, subject: Subject) -> list[Experiment]:
                 stop=float(settings.get("stopTime", reference.times[-1])),
                 step=float(settings.get("stepSize", subject.step)),
                 tolerance=float(settings.get("tolerance", TOLERANCE)),
-                stimuli=None if stimuli is None else _table(file, stimuli),
+                stimuli=None if stimuli is None else _table(directory, file, stimuli),
                 reference=reference,
             )
             if not (experiment.step > 0 and experiment.start <= experiment.stop < math.inf):
@@ -159,24 +162,31 @@ def read_experiments(file: Path, subject: Subject) -> list[Experiment]:
     return found
 
 
-def _table(file: Path, element: etree._Element) -> Table:
+def _table(directory: Path, file: Path, element: etree._Element) -> Table:
     source, kind = element.get("source", ""), element.get("type", "text/csv")
     if kind != "text/csv":
         raise ValueError(f"{source} is of type {kind}; text/csv is read here")
+    table = (file.parent / unquote(source)).resolve()
+    if not table.is_relative_to(directory):
+        raise ValueError(f"{source} is not in the FMU")
     try:
-        rows = list(csv.reader(io.StringIO((file.parent / unquote(source)).read_text(encoding="utf-8-sig"))))
+        rows = list(csv.reader(io.StringIO(table.read_text(encoding="utf-8-sig"))))
         values = np.array([[float(cell) for cell in row] for row in rows[1:] if row], dtype=float)
         if values.ndim != 2 or values.shape[1] != len(rows[0]):
             raise ValueError("no table of numbers")
     except OSError as error:
         raise ValueError(f"{source}: {error.strerror}") from None
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, csv.Error) as error:
         raise ValueError(f"{source}: {error}") from None
     return Table(values[:, 0], dict(zip(rows[0][1:], values[:, 1:].T, strict=True)))
 
 
 def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
-    """Runs the experiment: set the inputs of t_k, get the outputs of t_k, step to t_{k+1}; compares where both have t_k."""
+    """Runs the experiment: get the outputs of t_k, set the inputs of t_k, step to t_{k+1}; compares where both have t_k.
+
+    Inputs are set before outputs are read in initialization mode alone: afterwards the standard (section 4.2.4) wants a step in
+    between. So an output that may depend on an input without a step is compared only where this input has not changed since t_{k-1}.
+    """
     by_name = {variable.name: variable for variable in fmu.subject.variables}
     stimuli, reference = experiment.stimuli, experiment.reference
     strangers = [name for name in [*reference.columns, *(stimuli.columns if stimuli else ())] if name not in by_name]
@@ -187,19 +197,19 @@ def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
         return
     watched = [by_name[name] for name in reference.columns]
     steps = round((experiment.stop - experiment.start) / experiment.step)
+    times = experiment.start + np.arange(steps + 1) * experiment.step
+    inputs = {} if stimuli is None else {by_name[name]: _at(times, by_name[name], stimuli) for name in stimuli.columns}
     instance = fmu.new()
-    _apply(instance, by_name, stimuli, experiment.start)
     instance.legal("fmi2SetupExperiment", 0, 0.0, experiment.start, 0, 0.0)
     instance.legal("fmi2EnterInitializationMode")
+    _apply(instance, inputs, 0)
     instance.legal("fmi2ExitInitializationMode")
-    rows = []
-    for k in range(steps + 1):
-        time = experiment.start + k * experiment.step
+    rows = [list(instance.read(watched).values())]
+    for k in range(steps):
         if k > 0:
-            _apply(instance, by_name, stimuli, time)
+            _apply(instance, inputs, k)
+        instance.legal("fmi2DoStep", times[k], experiment.step, 1, about=f"experiment {experiment.name}")
         rows.append(list(instance.read(watched).values()))
-        if k < steps:
-            instance.legal("fmi2DoStep", time, experiment.step, 1, about=f"experiment {experiment.name}")
     places = np.rint((reference.times - experiment.start) / experiment.step).astype(int)
     near = np.abs(reference.times - experiment.start - places * experiment.step) <= _SAME_TIME * experiment.step
     shared = near & (places >= 0) & (places <= steps)
@@ -207,25 +217,39 @@ def replay(fmu: Fmu, experiment: Experiment) -> Iterator[Finding]:
         yield finding("ls-ref-replay", experiment.name, "reference results at communication points", "none")
         return
     got = np.array(rows, dtype=float)
-    for column, (name, expected) in enumerate(reference.columns.items()):
-        error = np.abs(got[places[shared], column] - expected[shared])
-        limit = experiment.tolerance * max(np.abs(expected[shared]).max(), abs(watched[column].nominal))
+    for column, variable in enumerate(watched):
+        expected, found = reference.columns[variable.name][shared], got[places[shared], column]
+        known = _is_comparable(fmu.subject, variable, inputs, steps)[places[shared]]
+        error = np.where(known, np.abs(found - expected), 0.0)
+        limit = experiment.tolerance * max(np.abs(expected).max(), abs(variable.nominal))
         worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
         if not error[worst] <= limit:
-            time, value = reference.times[shared][worst], expected[shared][worst]
-            expectation = f"{value:.9g} at t = {time:.9g}, to {limit:.2g}"
-            yield finding("ls-ref-replay", name, expectation, f"{got[places[shared], column][worst]:.9g}")
+            expectation = f"{expected[worst]:.9g} at t = {reference.times[shared][worst]:.9g}, to {limit:.2g}"
+            yield finding("ls-ref-replay", variable.name, expectation, f"{found[worst]:.9g}")
 
 
-def _apply(instance: Instance, by_name: dict[str, Variable], stimuli: Table | None, time: float) -> None:
-    """Continuous inputs are interpolated linearly between the rows, others keep the row's value."""
-    if stimuli is None:
-        return
-    for name, values in stimuli.columns.items():
-        variable = by_name[name]
-        if variable.variability == "continuous":
-            value = float(np.interp(time, stimuli.times, values))
-        else:
-            row = max(int(np.searchsorted(stimuli.times, time * (1 + 1e-12), side="right")) - 1, 0)
-            value = float(values[row])
-        instance.set(variable, value if variable.type == "Real" else int(value))
+def _is_comparable(subject: Subject, variable: Variable, inputs: dict[Variable, np.ndarray], steps: int) -> np.ndarray:
+    """(steps + 1): is what a legal sequence reads at t_k the value for the inputs of t_k?"""
+    known = np.ones(steps + 1, dtype=bool)
+    if variable.causality == "parameter" or variable.variability == "constant":
+        return known
+    # A local variable declares no dependencies at all.
+    direct = subject.description.direct.get(variable.index)
+    for other, values in inputs.items():
+        if direct is None or other.index in direct:
+            known[1:] &= values[1:] == values[:-1]
+    return known
+
+
+def _at(times: np.ndarray, variable: Variable, stimuli: Table) -> np.ndarray:
+    """The stimulus at `times` (n): a continuous input is interpolated linearly between the rows, another keeps the row's value."""
+    values = stimuli.columns[variable.name]
+    if variable.variability == "continuous":
+        return np.interp(times, stimuli.times, values)
+    rows = np.searchsorted(stimuli.times, times * (1 + 1e-12), side="right") - 1
+    return values[np.maximum(rows, 0)]
+
+
+def _apply(instance: Instance, inputs: dict[Variable, np.ndarray], k: int) -> None:
+    for variable, values in inputs.items():
+        instance.set(variable, float(values[k]) if variable.type == "Real" else int(values[k]))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import tempfile
 from collections.abc import Iterator
 
 from fmu_src.compliance.finding import Finding
-from fmu_src.compliance.library.fmu import OK, Fmu, status_name
+from fmu_src.compliance.library.calls import OK, status_name
+from fmu_src.compliance.library.fmu import Fmu
 from fmu_src.compliance.library.lifecycle import STEPS
 from fmu_src.compliance.rules import finding
 
@@ -18,25 +17,22 @@ def silent(fmu: Fmu) -> Iterator[Finding]:
     instance = fmu.initialized()
     instance.run(STEPS)
     instance.legal("fmi2Terminate")
-    for _, status, category, text in instance.messages[:1]:
+    for _, status, category, text in fmu.messages[:1]:
         found = f"{status_name(status)}, category '{category}': {text.strip()}"
         yield finding("silent", "logger", "no message while logging is off", found)
 
 
 def prints(fmu: Fmu) -> Iterator[Finding]:
-    """A legal life with logging on, stdout and stderr in a file."""
-    with tempfile.TemporaryFile() as file:
-        for stream in (1, 2):
-            os.dup2(file.fileno(), stream)
-        instance = fmu.initialized(logging=True)
-        instance.run(STEPS)
-        instance.legal("fmi2Terminate")
-        library = ctypes.cdll.msvcrt if os.name == "nt" else ctypes.CDLL(None)
-        library.fflush(None)  # the C library writes to a file when its buffer is full, not by the line
-        file.seek(0)
-        printed = file.read().decode("utf-8", "replace").strip()
-    if printed:
-        yield finding("prints", "stdout, stderr", "nothing", f"'{printed.splitlines()[0]}'")
+    """A legal life with logging on; from when the library is loaded until the instance is freed."""
+    instance = fmu.initialized(logging=True)
+    instance.run(STEPS)
+    instance.legal("fmi2Terminate")
+    instance.free()
+    assert fmu.printed is not None
+    printed = fmu.printed.end()
+    if fmu.printed.size:
+        first = printed.splitlines()[0] if printed else ""
+        yield finding("prints", "stdout, stderr", "nothing", f"{fmu.printed.size} bytes, from '{first[:80]}' on")
 
 
 def logged(fmu: Fmu) -> Iterator[Finding]:
@@ -45,7 +41,7 @@ def logged(fmu: Fmu) -> Iterator[Finding]:
     instance.run(1)
     instance.call("fmi2SetupExperiment", 0, 0.0, 0.0, 0, 0.0)
     known = fmu.subject.description.categories
-    for name, _, category, text in instance.messages:
+    for name, _, category, text in fmu.messages:
         if name != "speaker":
             yield finding("log-messages", text.strip(), "the instance name 'speaker'", f"'{name}'")
             return

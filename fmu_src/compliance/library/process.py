@@ -1,85 +1,202 @@
-"""Probes run in child processes: a crash or a hang of the FMU is an outcome, not the end of the check."""
+"""Cases run in child processes: a crash or a hang of the FMU is an outcome, not the end of the check.
+
+One process serves all FMUs (`server.py`): it forks a child for each case, and tells how that ended. Child and server write
+lines to one pipe: the case's number, a letter, and what belongs to it.
+"""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
+import json
+import pickle
+import queue
 import signal
-import traceback
+import struct
+import subprocess
+import sys
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
-from fmu_src.compliance.finding import Finding
-from fmu_src.compliance.library.fmu import Broken, Fmu, Subject
+from fmu_src.compliance.finding import CannotCheck, Finding
+from fmu_src.compliance.library.calls import Subject
 from fmu_src.compliance.rules import finding
 
 TIMEOUT = 30.0  # [s] for a single call: one that takes longer hangs
+_START = 120.0  # [s] for the server, on a machine however busy
+_LONGEST_LINE = 1 << 16
+_GARBAGE = "the FMU wrote into the pipe of the process that drives it"
 
 Probe = Callable[..., Iterator[Finding]]
 
 
 @dataclass(frozen=True)
 class Case:
-    """One probe of one rule: `probe(fmu, *arguments)` yields findings, and may return a value for the next case."""
+    """One probe of one rule: `probe(fmu, *arguments)` yields findings, and may return a value for the next case.
+
+    `drives`: the probe wants the FMU loaded; without, it is `probe(*arguments)`. `captures`: it wants to know what the process
+    prints. `keep`: the file that takes the value, as JSON.
+    """
 
     rule: str
     subject: str
     probe: Probe
     arguments: tuple[Any, ...] = ()
     expected: str = "an answer"
+    drives: bool = True
+    captures: bool = False
+    keep: Path | None = None
 
 
 @dataclass
 class Outcome:
-    """`value`: what the probe returned; None if it did not come to its end, and then there is a finding."""
+    """`complete`: the probe came to its end, and what it returned is kept; else there is a finding."""
 
     findings: list[Finding] = field(default_factory=list)
-    value: Any = None
-    finished: bool = False
+    complete: bool = False
+    hung: bool = False
 
 
-def context() -> Any:
-    """Children forked from a clean server where there is one (milliseconds each), else fresh processes."""
-    methods = multiprocessing.get_all_start_methods()
-    made = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-    if "forkserver" in methods:
-        made.set_forkserver_preload(["fmu_src.compliance.check"])  # all that a child would import
-    return made
+class Server:
+    """The process that forks the cases' children; `subject` is the FMU that they drive.
 
+    Raises:
+        CannotCheck: the process does not start.
+    """
 
-def run(case: Case, subject: Subject) -> Outcome:
-    """Run the case in a process of its own."""
-    processes = context()
-    receiver, sender = processes.Pipe(duplex=False)
-    process = processes.Process(target=_child, args=(case, subject, sender), daemon=True)
-    process.start()
-    sender.close()
-    outcome, call = Outcome(), "its start"
-    try:
-        while not outcome.finished:
-            if not receiver.poll(TIMEOUT):
+    def __init__(self) -> None:
+        self._number = 0
+        self._subject: Subject | None = None
+        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        code = f"import sys; sys.path[:] = {sys.path!r}; from fmu_src.compliance.library.server import serve; serve()"
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", code],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # an interrupt at the terminal is the parent's affair
+            )
+        except OSError as error:
+            raise CannotCheck(f"no process for the probes: {error.strerror or error}") from None
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def wait(self) -> None:
+        """Until it has started."""
+        try:
+            if self._number == 0:
+                self._next(_START)
+        except queue.Empty:
+            raise CannotCheck(f"the process that runs the probes did not start within {_START:g} s") from None
+
+    @property
+    def is_alive(self) -> bool:
+        return self._process.poll() is None
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+    def _read(self) -> None:
+        pipe = self._process.stdout
+        assert pipe is not None
+        while line := pipe.readline(_LONGEST_LINE):
+            self._lines.put(line)
+        self._lines.put(b"")
+
+    def _send(self, *message: Any) -> None:
+        content = pickle.dumps(message)
+        pipe = self._process.stdin
+        assert pipe is not None
+        try:
+            pipe.write(struct.pack("=Q", len(content)) + content)
+            pipe.flush()
+        except OSError:
+            raise CannotCheck("the process that runs the probes is gone") from None
+
+    def run(self, case: Case, subject: Subject | None) -> Outcome:
+        """Run the case in a process of its own."""
+        self.wait()
+        self._number += 1
+        if subject is not self._subject:
+            self._send("subject", subject)
+            self._subject = subject
+        self._send("case", self._number, case, TIMEOUT)
+        outcome, call, ended = Outcome(), "its start", False
+        while True:
+            try:
+                kind, content = self._next(TIMEOUT)
+            except queue.Empty:
+                if outcome.hung:
+                    raise CannotCheck(f"a process that hung in {call} could not be ended") from None
+                outcome.hung = True
                 outcome.findings.append(_ended(case, f"no answer from {call} within {TIMEOUT:g} s"))
-                break
-            kind, content = receiver.recv()
-            match kind:
-                case "call":
-                    call = content
-                case "finding":
-                    outcome.findings.append(content)
-                case "value":
-                    outcome.value, outcome.finished = content, True
-                case "bug":
-                    raise RuntimeError(f"the probe of {case.rule} failed:\n{content}")
-    except EOFError:
-        process.join()
-        outcome.findings.append(_ended(case, f"{_cause(process.exitcode)} in {call}"))
-    finally:
-        process.kill()
-        process.join()
-        receiver.close()
-    return outcome
+                self._send("kill")
+                continue
+            try:
+                match kind:
+                    case "c":
+                        call = content
+                    case "f":
+                        outcome.findings.append(Finding(*json.loads(content)))
+                    case "v":
+                        ended, outcome.complete = True, content == "complete"
+                    case "b":
+                        raise CannotCheck(f"the probe of {case.rule} failed: {json.loads(content)}")
+                    case "e":
+                        if not ended and not outcome.hung:
+                            outcome.findings.append(_ended(case, f"{_cause(int(content))} in {call}"))
+                        return outcome
+            except (ValueError, TypeError):
+                raise CannotCheck(_GARBAGE) from None
+
+    def _next(self, timeout: float) -> tuple[str, str]:
+        """Kind and content of the next message of the present case.
+
+        Raises:
+            queue.Empty: none came in time.
+            CannotCheck: what came is no message, or the process is gone.
+        """
+        while True:
+            line = self._lines.get(timeout=timeout)
+            if not line:
+                raise CannotCheck("the process that runs the probes was ended by the FMU")
+            if line == b"\n":
+                continue
+            try:
+                number, kind, content = line.decode().rstrip("\n").split(" ", 2)
+                if int(number) == self._number:
+                    return kind, content
+            except ValueError:
+                raise CannotCheck(_GARBAGE) from None
+
+
+_server: Server | None = None
+
+
+def prepare() -> Server:
+    """Start the server, if there is none: it takes a moment, in which the caller may do something else."""
+    global _server
+    if _server is None or not _server.is_alive:
+        _server = Server()
+    return _server
+
+
+def run(case: Case, subject: Subject | None = None) -> Outcome:
+    """Run the case in a process of its own, which drives `subject` where the case drives one.
+
+    Raises:
+        CannotCheck: the processes themselves failed; the next call begins with new ones.
+    """
+    global _server
+    server = prepare()
+    try:
+        return server.run(case, subject)
+    except BaseException:
+        server.end()
+        _server = None
+        raise
 
 
 def _ended(case: Case, how: str) -> Finding:
@@ -90,31 +207,3 @@ def _cause(code: int) -> str:
     if code < 0:
         return f"a crash ({signal.Signals(-code).name})"
     return f"the end of the process (exit code {code})"
-
-
-def _child(case: Case, subject: Subject, sender: Connection) -> None:
-    silence = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):  # what the FMU prints is no business of the report
-        os.dup2(silence, stream)
-    try:
-        fmu = Fmu(subject, lambda call: sender.send(("call", call)))
-    except OSError as error:
-        sender.send(("finding", finding("load", os.path.basename(subject.library), "a library that loads", str(error))))
-        sender.send(("value", None))
-        os._exit(0)
-    try:
-        probe = case.probe(fmu, *case.arguments)
-        value = None
-        while True:
-            try:
-                sender.send(("finding", next(probe)))
-            except StopIteration as end:
-                value = end.value
-                break
-        sender.send(("value", value))
-    except Broken as broken:
-        sender.send(("finding", broken.finding))
-        sender.send(("value", None))
-    except Exception:  # a fault of the probe itself, for the parent to raise
-        sender.send(("bug", traceback.format_exc()))
-    os._exit(0)  # at once: whatever the library does at the end of a process is not the probe's subject

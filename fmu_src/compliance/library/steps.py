@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from fmu_src.compliance.finding import Finding
-from fmu_src.compliance.library.fmu import ERROR, OK, WARNING, Fmu, status_name
+from fmu_src.compliance.library.calls import ERROR, OK, WARNING, status_name
+from fmu_src.compliance.library.fmu import Fmu
 from fmu_src.compliance.rules import finding
 
 

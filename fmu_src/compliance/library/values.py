@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from fmu_src.compliance.files.description import Value, Variable
 from fmu_src.compliance.finding import Finding
-from fmu_src.compliance.library.fmu import ERROR, FATAL, Fmu, Instance, status_name
-from fmu_src.compliance.library.lifecycle import STATES, STEPS, other_value
+from fmu_src.compliance.library.calls import ERROR, FATAL, Broken, status_name
+from fmu_src.compliance.library.fmu import Fmu
+from fmu_src.compliance.library.instance import Instance
+from fmu_src.compliance.library.lifecycle import EXCHANGE_STATES, STEPS, other_value
 from fmu_src.compliance.rules import finding
 
 MOST_VARIABLES = 20  # of a kind are tried where each needs a process of its own
@@ -41,7 +43,7 @@ def unknown_reference(fmu: Fmu, function: str) -> Iterator[Finding]:
 def refused_set(fmu: Fmu, rule: str, variable: Variable, state: str) -> Iterator[Finding]:
     """`variable` is set, to its start value if it has one, while the instance is in `state`."""
     value = _ANY[variable.kind] if variable.start is None else variable.start
-    status = STATES[state](fmu).try_set(variable, value)
+    status = EXCHANGE_STATES[state](fmu).try_set(variable, value)
     if status != ERROR:
         yield finding(rule, variable.name, f"fmi2Error when it is set to {value} while {state}", status_name(status))
 
@@ -72,21 +74,44 @@ def _equal(expected: Value, found: Value) -> bool:
 
 
 def set_get(fmu: Fmu) -> Iterator[Finding]:
-    """What can be set is set: to its start value before initialization, to another value between steps."""
+    """What is set is read where the standard allows that: in initialization mode, and after the step that follows.
+
+    In the step-complete state of co-simulation nothing is read between setting and stepping (section 4.2.4). Parameters are set
+    to their start values before initialization, inputs in it, what can be set later to other values.
+    """
     variables = [variable for variable in fmu.subject.variables if variable.start is not None]
+    inputs = {variable: _changed(variable) for variable in variables if variable.causality == "input"}
     instance = fmu.new()
     for variable in variables:
-        if variable.settable_before_initialization and variable.causality in ("input", "parameter"):
+        if variable.settable_before_initialization and variable.causality == "parameter":
             assert variable.start is not None
             instance.set(variable, variable.start)
-    instance.initialize()
-    wanted = {variable: _changed(variable) for variable in variables if variable.settable_in_steps}
+    instance.setup()
+    instance.legal("fmi2EnterInitializationMode")
+    yield from _set_and_read(instance, inputs, lambda: True)
+    instance.exit_initialization()
+    later = {variable: _changed(variable) for variable in variables if fmu.subject.settable_in_steps(variable)}
+    yield from _set_and_read(instance, later, lambda: _can_step(instance))
+
+
+def _set_and_read(instance: Instance, wanted: dict[Variable, Value], between: Callable[[], bool]) -> Iterator[Finding]:
     for variable, value in wanted.items():
         instance.set(variable, value)
+    if not between():
+        return
     values = instance.read(list(wanted))
     for variable, value in wanted.items():
         if not _equal(value, values[variable.name]):
             yield finding("set-get", variable.name, f"{value} after it was set", str(values[variable.name]))
+
+
+def _can_step(instance: Instance) -> bool:
+    """One step; not one that is refused, for all inputs and tunable parameters have just been set to values made up here."""
+    try:
+        instance.step()
+    except Broken:
+        return False
+    return True
 
 
 def _changed(variable: Variable) -> Value:
@@ -109,18 +134,20 @@ def nan_input(fmu: Fmu, value: float) -> Iterator[Finding]:
     instance = fmu.initialized()
     instance.run(1)
     for variable in fmu.subject.variables:
-        if variable.causality == "input" and variable.type == "Real":
+        if variable.causality == "input" and variable.type == "Real" and fmu.subject.settable_in_steps(variable):
             status = instance.try_set(variable, value)
             if status == FATAL:
                 yield finding("nan-input", variable.name, f"no fmi2Fatal at {value}", status_name(status))
                 return
     for _ in range(2):
-        status = instance.call("fmi2DoStep", instance.time, fmu.subject.step, 1)
-        if status == FATAL:
-            yield finding("nan-input", "fmi2DoStep", f"no fmi2Fatal with inputs of {value}", status_name(status))
-        if status >= ERROR:
+        try:
+            instance.step()
+        except Broken as refused:
+            if status_name(FATAL) in refused.finding.found:
+                yield finding(
+                    "nan-input", refused.finding.subject, f"no fmi2Fatal with inputs of {value}", refused.finding.found
+                )
             return
-        instance.steps += 1
         instance.computed()
 
 

@@ -1,6 +1,9 @@
 /* A small co-simulation FMU without fault, into which one is brought by name: the tests write a defect's name over `defect`
    in the compiled library. Standard: FMI 2.0.4. */
+#define _POSIX_C_SOURCE 200809L /* kill */
+#include <fcntl.h>
 #include <math.h>
+#include <signal.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -22,7 +25,7 @@ static bool has(const char *name)
 }
 
 typedef enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED } Phase;
-enum { U, GAIN, START, X, LIMIT, N_REALS }; /* Real, by value reference: input, tunable, fixed, output, constant */
+enum { U, GAIN, START, X, LIMIT, Y, N_REALS }; /* Real: input, tunable, fixed, output, constant, output = gain u */
 enum { COUNT = 10, MODE };                  /* Integer: output, tunable */
 enum { ACTIVE = 20 };                       /* Boolean: input */
 enum { LABEL = 30 };                        /* String: fixed parameter */
@@ -34,6 +37,7 @@ typedef struct {
     double reals[N_REALS];
     int count, mode, active;
     char label[32];
+    bool changed; /* set since the last step: nothing may be read then (section 4.2.4) */
 } State;
 
 typedef struct {
@@ -68,13 +72,32 @@ static void say(Instance *self, fmi2Status status, const char *category, const c
 {
     if (self->logging || (has("silent") && status == fmi2OK))
         self->callbacks.logger(self->callbacks.componentEnvironment, has("log-messages-name") ? "someone" : self->name,
-                               status, has("log-messages") ? "undeclared" : category, text);
+                               status, has("log-messages") ? "undeclared" : category, "%s after %d steps", text,
+                               self->state.count);
 }
 
 static fmi2Status refuse(Instance *self, const char *text)
 {
     say(self, fmi2Error, "logStatusError", text);
     return fmi2Error;
+}
+
+/* What a bad FMU does to the process that it is loaded in. */
+static void misbehave(const State *state)
+{
+#ifndef _WIN32
+    if (has("kills-its-parent"))
+        kill(getppid(), SIGKILL);
+    if (has("garbage"))
+        for (int file = 3; file < 300; file++)
+            if (fcntl(file, F_GETFD) != -1 && write(file, "garbage\n", 8) < 0)
+                continue;
+#endif
+    if (has("exits"))
+        exit(0);
+    if (has("prints-much") && state->count == 0)
+        for (int i = 0; i < 1600; i++)
+            printf("%65535d\n", i);
 }
 
 /* Is this function forbidden in this state? The defect call-order lets one of them pass. */
@@ -189,6 +212,8 @@ fmi2Status fmi2Terminate(fmi2Component c)
 fmi2Status fmi2Reset(fmi2Component c)
 {
     Instance *self = c;
+    if (has("reset-refused"))
+        return refuse(self, "no way back");
     defaults(&self->state);
     return fmi2OK;
 }
@@ -213,6 +238,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean noSet
     if (has("hang") && isinf(state->reals[U]))
         for (volatile int i = 0;; i++)
             ;
+    misbehave(state);
+    if (has("pending"))
+        return fmi2Pending;
+    state->changed = false;
     double noise = has("noise") ? (double)getpid() : has("two-instances") && alive > 1 ? 1 : 0;
     state->reals[X] += h * (state->active ? state->reals[GAIN] * state->reals[U] - state->reals[X] + noise : 0);
     state->time = t + h;
@@ -228,19 +257,28 @@ static bool known(const fmi2ValueReference vr[], size_t n, unsigned first, unsig
     return true;
 }
 
+static bool stale(const Instance *self)
+{
+    return self->state.phase == STEPPING && self->state.changed;
+}
+
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[])
 {
     Instance *self = c;
+    if (stale(self))
+        return refuse(self, "no step since something was set");
     if (!known(vr, n, 0, N_REALS))
         return has("unknown-reference") ? fmi2OK : refuse(self, "no such Real");
     for (size_t i = 0; i < n; i++)
-        value[i] = self->state.reals[vr[i]];
+        value[i] = vr[i] == Y ? self->state.reals[GAIN] * self->state.reals[U] : self->state.reals[vr[i]];
     return fmi2OK;
 }
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[])
 {
     Instance *self = c;
+    if (stale(self))
+        return refuse(self, "no step since something was set");
     if (!known(vr, n, COUNT, MODE + 1))
         return refuse(self, "no such Integer");
     for (size_t i = 0; i < n; i++)
@@ -251,6 +289,8 @@ fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[])
 {
     Instance *self = c;
+    if (stale(self))
+        return refuse(self, "no step since something was set");
     if (!known(vr, n, ACTIVE, ACTIVE + 1))
         return refuse(self, "no such Boolean");
     for (size_t i = 0; i < n; i++)
@@ -261,6 +301,8 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2String value[])
 {
     Instance *self = c;
+    if (stale(self))
+        return refuse(self, "no step since something was set");
     if (!known(vr, n, LABEL, LABEL + 1))
         return refuse(self, "no such String");
     for (size_t i = 0; i < n; i++)
@@ -274,11 +316,12 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
     Phase phase = self->state.phase;
     if (!known(vr, n, 0, N_REALS) || phase == TERMINATED)
         return refuse(self, "no such Real, or terminated");
+    self->state.changed = self->state.phase == STEPPING;
     for (size_t i = 0; i < n; i++) {
-        if ((vr[i] == LIMIT && !has("set-constant")) || (vr[i] == X && !has("set-calculated")) ||
-            (vr[i] == START && phase == STEPPING && !has("set-fixed")))
+        if ((vr[i] == LIMIT && !has("set-constant")) || (vr[i] == X && !has("set-calculated")) || vr[i] == Y ||
+            (vr[i] == START && phase == STEPPING && !has("set-fixed")) || (vr[i] == U && phase == INSTANTIATED))
             return refuse(self, "cannot be set");
-        if (!(vr[i] == U && has("set-get")))
+        if (!(vr[i] == GAIN && has("set-get")))
             self->state.reals[vr[i]] = value[i];
     }
     return fmi2OK;
@@ -289,6 +332,7 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
     Instance *self = c;
     if (!known(vr, n, MODE, MODE + 1) || self->state.phase == TERMINATED)
         return refuse(self, "no such Integer, or calculated, or terminated");
+    self->state.changed = self->state.phase == STEPPING;
     for (size_t i = 0; i < n; i++)
         self->state.mode = value[i];
     return fmi2OK;
@@ -297,8 +341,9 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t
 fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[])
 {
     Instance *self = c;
-    if (!known(vr, n, ACTIVE, ACTIVE + 1) || self->state.phase == TERMINATED)
-        return refuse(self, "no such Boolean, or terminated");
+    if (!known(vr, n, ACTIVE, ACTIVE + 1) || self->state.phase == TERMINATED || self->state.phase == INSTANTIATED)
+        return refuse(self, "no such Boolean, or not now");
+    self->state.changed = self->state.phase == STEPPING;
     for (size_t i = 0; i < n; i++)
         self->state.active = value[i];
     return fmi2OK;
@@ -309,6 +354,7 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
     Instance *self = c;
     if (!known(vr, n, LABEL, LABEL + 1) || self->state.phase >= STEPPING)
         return refuse(self, "no such String, or fixed");
+    self->state.changed = self->state.phase == STEPPING;
     for (size_t i = 0; i < n; i++)
         strncpy(self->state.label, value[i], sizeof self->state.label - 1);
     return fmi2OK;
@@ -374,8 +420,16 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2ValueReference knowns[], size_t nKnown, const fmi2Real dvKnown[],
                                         fmi2Real dvUnknown[])
 {
-    (void)unknown, (void)nUnknown, (void)knowns, (void)nKnown, (void)dvKnown, (void)dvUnknown;
-    return refuse(c, "no derivatives");
+    Instance *self = c;
+    if (has("directional-derivative-refused"))
+        return refuse(c, "no derivatives");
+    for (size_t i = 0; i < nUnknown; i++)
+        dvUnknown[i] = 0;
+    for (size_t i = 0; i < nUnknown; i++)
+        for (size_t j = 0; j < nKnown; j++)
+            if (unknown[i] == Y && knowns[j] == U)
+                dvUnknown[i] += (has("directional-derivative") ? 1 : self->state.reals[GAIN]) * dvKnown[j];
+    return fmi2OK;
 }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
@@ -400,7 +454,10 @@ fmi2Status fmi2CancelStep(fmi2Component c)
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
 {
-    (void)c, (void)kind, (void)value;
+    (void)c, (void)kind;
+    *value = fmi2Pending;
+    if (has("pending"))
+        return fmi2OK;
     return fmi2Discard;
 }
 

@@ -1,0 +1,155 @@
+"""An FMU that does not behave is a finding, or one line and exit code 2; never the end of the check."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from broken_fmus import Make
+from fmu_src.compliance.check import check
+from fmu_src.compliance.files import package
+from fmu_src.compliance.files.package import NotAnFmu
+from fmu_src.compliance.files.systems import is_named, is_part_of, names_in
+from fmu_src.compliance.finding import CannotCheck
+from fmu_src.compliance.library import process
+from tools import ROOT
+
+
+def lines(path: Path, **environment: str) -> tuple[int, list[str]]:
+    """Exit code and output of the command."""
+    command = [sys.executable, "-m", "commands", "check", str(path)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=os.environ | environment)
+    return result.returncode, (result.stdout + result.stderr).splitlines()
+
+
+@pytest.mark.parametrize(
+    ("defect", "words"),
+    [
+        ("kills-its-parent", "was ended by the FMU"),
+        ("garbage", "the FMU wrote into the pipe of the process that drives it"),
+    ],
+)
+def test_an_fmu_that_breaks_the_checks_own_processes_is_one_line(make: Make, defect: str, words: str) -> None:
+    path = make(defect=defect)
+    with pytest.raises(CannotCheck, match=words):
+        check(path)
+    code, (line,) = lines(path)
+    assert code == 2 and words in line and str(path) in line
+    assert check(make()).findings == []  # and the next one is checked
+
+
+def test_a_step_that_stays_pending_is_waited_for_once(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "TIMEOUT", 1.0)
+    report = check(make(defect="pending"))
+    assert [(finding.rule, finding.found) for finding in report.findings] == [("legal-call", "fmi2Pending for 1 s")]
+    assert report.notes == ["the FMU cannot be run, so no further rule was applied"]
+
+
+def test_an_fmu_that_ends_its_process_is_found(make: Make) -> None:
+    (finding,) = check(make(defect="exits")).findings
+    assert finding.found == "the end of the process (exit code 0) in fmi2DoStep"
+
+
+def test_what_is_printed_is_counted_and_not_repeated(make: Make) -> None:
+    (finding,) = check(make(defect="prints-much")).findings
+    assert finding.rule == "prints" and "104857600 bytes" in finding.found and len(finding.found) < 200
+
+
+def test_a_refused_reset_does_not_end_the_check(make: Make) -> None:
+    report = check(make(defect="reset-refused"))
+    (finding,) = report.findings
+    assert finding.rule == "legal-call" and "fmi2Reset" in finding.subject and len(finding.subjects) == 5
+    assert "state-serialize" in report.checked
+
+
+def test_messages_are_read_with_their_arguments(make: Make) -> None:
+    (finding,) = check(make(defect="log-messages")).findings
+    assert finding.subject == "initialized after 0 steps"
+
+
+def test_a_library_outside_of_the_fmu_is_never_loaded(make: Make, tmp_path: Path) -> None:
+    outside, mark = tmp_path / "outside.so", tmp_path / "loaded"
+    source = f'__attribute__((constructor)) static void mark(void) {{ (void)!creat("{mark}", 0600); }}'
+    (tmp_path / "outside.c").write_text(f"#include <fcntl.h>\n{source}\n")
+    command = [sys.executable, "-m", "ziglang", "cc", "-shared", "-o", str(outside), str(tmp_path / "outside.c")]
+    subprocess.run(command, check=True)
+    for identifier in ("/".join([".."] * 12) + str(outside.with_suffix("")), str(outside.with_suffix(""))):
+        report = check(make(edits={'modelIdentifier="broken"': f'modelIdentifier="{identifier}"'}))
+        assert {finding.rule for finding in report.findings} == {"model-identifier", "binary-missing"}
+        assert report.notes == ["no binary for this machine (no name for it): co-simulation was not driven"]
+    assert not mark.exists()
+
+
+def test_a_name_forges_no_line(make: Make) -> None:
+    code, printed = lines(make(edits={'name="limit"': "name=\"'a&#10;x.fmu: 70 rules, no finding'\""}))
+    assert code == 1 and len(printed) == 2
+    assert "variable-name [2.2.9] 'a\\nx.fmu: 70 rules, no finding'" in printed[0]
+
+
+def test_files_that_no_file_system_takes_are_one_line(make: Make) -> None:
+    for path in (
+        make({f"resources/{'n' * 300}": b""}),
+        make({"resources": b"", "resources/table.txt": b""}),
+        make(edits={'modelIdentifier="broken"': f'modelIdentifier="{"n" * 300}"'}),
+    ):
+        code, (line,) = lines(path)
+        assert code == 2 and str(path) in line
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "words"),
+    [
+        ("MOST_BYTES", 1 << 10, "GiB are checked here"),
+        ("MOST_BYTES_OF_DESCRIPTION", 1 << 10, "MiB are checked here"),
+        ("MOST_FILES", 2, "holds 3 files; at most 2 are checked here"),
+    ],
+)
+def test_what_inflates_beyond_a_limit_is_refused_before_it_is_inflated(
+    make: Make, monkeypatch: pytest.MonkeyPatch, limit: str, value: int, words: str
+) -> None:
+    path = make()
+    monkeypatch.setattr(package, limit, value)
+    monkeypatch.setattr("zipfile.ZipFile.open", lambda *_: pytest.fail("it was inflated"))
+    with pytest.raises(NotAnFmu, match=words):
+        check(path)
+
+
+def test_a_long_temporary_folder_is_no_matter(make: Make, tmp_path: Path) -> None:
+    folder = tmp_path / ("x" * 120)
+    folder.mkdir()
+    code, printed = lines(make(), TMPDIR=str(folder))
+    assert code == 0 and printed[-1].endswith("rules, no finding")
+    assert list(folder.iterdir()) == []
+
+
+def test_a_full_disk_is_one_line(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("zipfile.ZipFile.extract", full)
+    with pytest.raises(CannotCheck, match=r"cannot be unpacked: modelDescription\.xml: No space left on device"):
+        check(make())
+
+
+def test_libraries_of_the_system_and_declared_ones_are_no_findings() -> None:
+    for name in (
+        "COMCTL32",
+        "COMDLG32",
+        "NETAPI32",
+        "WINTRUST",
+        "WSOCK32",
+        "DHCPCSVC",
+        "OPENGL32",
+        "api-ms-win-crt-heap-l1-1-0",
+    ):
+        assert is_part_of(".dll", f"{name}.dll")
+    for name in ("VCRUNTIME140", "MSVCP140", "libgcc_s_seh-1", "python311"):
+        assert not is_part_of(".dll", f"{name}.dll")
+    declared = names_in("Needs the Visual C++ runtime (VCRUNTIME140.dll, MSVCP140.dll) and libgfortran.so.5.")
+    for name in ("vcruntime140.dll", "MSVCP140.dll", "libgfortran.so.5", "/opt/lib/libgfortran.dylib"):
+        assert is_named(name, declared)
+    assert not is_named("libquadmath.so.0", declared)
