@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from broken_fmus import Make
+from broken_fmus import Make, compiled
 from fmu_src.compliance.check import check
 from fmu_src.compliance.files import package
 from fmu_src.compliance.files.package import NotAnFmu
@@ -74,9 +75,10 @@ def test_messages_are_read_with_their_arguments(make: Make) -> None:
 def test_a_library_outside_of_the_fmu_is_never_loaded(make: Make, tmp_path: Path) -> None:
     outside, mark = tmp_path / "outside.so", tmp_path / "loaded"
     source = f'__attribute__((constructor)) static void mark(void) {{ (void)!creat("{mark}", 0600); }}'
-    (tmp_path / "outside.c").write_text(f"#include <fcntl.h>\n{source}\n")
-    command = [sys.executable, "-m", "ziglang", "cc", "-shared", "-o", str(outside), str(tmp_path / "outside.c")]
-    subprocess.run(command, check=True)
+    outside.write_bytes(compiled(tmp_path / "code", source=f"#include <fcntl.h>\n{source}\n"))
+    ctypes.CDLL(str(outside))
+    assert mark.exists()
+    mark.unlink()
     for identifier in ("/".join([".."] * 12) + str(outside.with_suffix("")), str(outside.with_suffix(""))):
         report = check(make(edits={'modelIdentifier="broken"': f'modelIdentifier="{identifier}"'}))
         assert {finding.rule for finding in report.findings} == {"model-identifier", "binary-missing"}
