@@ -14,7 +14,7 @@ from observers.component import Component
 from observers.instance import Instance
 from reference_models.double_integrator import DOUBLE_INTEGRATOR
 
-NOISE = {"plant.sensor.noise_std": 1e-3, "plant.sensor.sample_time": 1e-3}
+NOISE = {f"plant.sensor.noise_std.{y}": 1e-3 for y in ("y1", "y2")} | {"plant.sensor.sample_time": 1e-3}
 
 
 def motor(runs: dict[str, Result]) -> None:

@@ -26,7 +26,7 @@ from observers.numerics.equations import Equations
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 # The first parts of the structured names in our FMUs: a tool that builds a tree of them cannot have a variable of that name beside.
 BRANCHES = frozenset(
-    {"certificate", "diagnostics", "estimate", "feedback", "filtered", "guess", "measurement_valid"}
+    {"actuator", "certificate", "diagnostics", "estimate", "feedback", "filtered", "guess", "measurement_valid"}
 ) | frozenset({"parameter", "sensor", "start", "structure", "tuning", "x", "z"})
 
 

@@ -165,7 +165,7 @@ FMUS: dict[str, Source] = {
 }
 
 _NOISY_DUFFING = {**gong_2007.START, "sensor.noise_bound": 0.01, "sensor.sample_time": DUFFING_SAMPLE_TIME}
-_NOISY_MOTOR = {"sensor.noise_bound": 0.01, "sensor.sample_time": MOTOR_SAMPLE_TIME}
+_NOISY_MOTOR = {"sensor.noise_bound.y1": 0.01, "sensor.noise_bound.y2": 0.01, "sensor.sample_time": MOTOR_SAMPLE_TIME}
 
 
 def _loop(plant: str, observer: str, *outputs: str) -> tuple[tuple[str, str], ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -12,6 +13,7 @@ LARGEST_SEED = 2**20  # (seed + 1)^2 times the scrambling prime stays below 2^53
 
 _UNIFORM_PRIME = 7919.0
 _GAUSSIAN_PRIME = 7907.0
+_INPUT_PRIME = 7901.0
 
 
 def advance(state: Any) -> Any:
@@ -35,14 +37,33 @@ def start(seed: Any) -> Any:
     return ca.vertcat(seeded(seed, _UNIFORM_PRIME), seeded(seed, _GAUSSIAN_PRIME))
 
 
-def draw(states: Any, count: int, bound: Any, deviation: Any) -> tuple[Any, Any]:
-    """(states after it, noise (count x 1)): uniform in [-bound, bound] plus Gaussian with standard deviation `deviation` (Box-Muller)."""
+def start_inputs(seed: Any) -> Any:
+    """State of the Gaussian stream for inputs, before the first draw."""
+    return seeded(seed, _INPUT_PRIME)
+
+
+def draw(states: Any, bounds: Sequence[Any], deviations: Sequence[Any]) -> tuple[Any, Any]:
+    """(states after it, noise): for each of `bounds` uniform in [-bound, bound] plus Gaussian with its standard deviation."""
     uniform, gaussian = states[0], states[1]
     values = []
-    for _ in range(count):
+    for bound, deviation in zip(bounds, deviations, strict=True):
         uniform = advance(uniform)
-        radius = gaussian = advance(gaussian)
-        angle = gaussian = advance(gaussian)
-        normal = ca.sqrt(-2 * ca.log(radius / MODULUS)) * ca.cos(2 * ca.pi * angle / MODULUS)
+        gaussian, normal = _normal(gaussian)
         values.append(bound * (2 * uniform / MODULUS - 1) + deviation * normal)
     return ca.vertcat(uniform, gaussian), ca.vertcat(*values)
+
+
+def draw_gaussian(state: Any, deviations: Sequence[Any]) -> tuple[Any, Any]:
+    """(state after it, noise): Gaussian, one number for each standard deviation."""
+    values = []
+    for deviation in deviations:
+        state, normal = _normal(state)
+        values.append(deviation * normal)
+    return state, ca.vertcat(*values)
+
+
+def _normal(state: Any) -> tuple[Any, Any]:
+    """(state after it, a standard normal number), by Box and Muller."""
+    radius = advance(state)
+    angle = advance(radius)
+    return angle, ca.sqrt(-2 * ca.log(radius / MODULUS)) * ca.cos(2 * ca.pi * angle / MODULUS)

@@ -95,8 +95,8 @@ def test_parameters_have_the_bounds_units_and_start_values_of_the_model() -> Non
         ("parameter.k", 0.0, 10.0, 3.0, "N/m"),
         ("parameter.k_jump_value[1]", 0.0, 10.0, 3.0, "N/m"),
         ("parameter.k_jump_time[1]", 0.0, math.inf, 1e30, "s"),
-        ("sensor.noise_bound", 0.0, math.inf, 0.0, "m"),
-        ("sensor.noise_std", 0.0, math.inf, 0.0, "m"),
+        ("sensor.noise_bound.y1", 0.0, math.inf, 0.0, "m"),
+        ("sensor.noise_std.y2", 0.0, math.inf, 0.0, "N"),
         ("sensor.sample_time", 0.0, math.inf, 0.0, "s"),
         ("sensor.seed", 0, 2**20, 0, "1"),
     ):
@@ -157,6 +157,11 @@ def lehmer(seed: int, prime: int):
         yield state
 
 
+def of_both(bound: float, std: float) -> dict[str, float]:
+    """The same noise on both outputs."""
+    return {f"sensor.{kind}.{y}": v for kind, v in (("noise_bound", bound), ("noise_std", std)) for y in ("y1", "y2")}
+
+
 def draws(seed: int, bound: float, std: float, samples: int, outputs: int = 2) -> np.ndarray:
     """The noise of the first samples (samples x outputs): each output in turn takes one uniform number and a pair for Box and Muller."""
     uniform, gaussian, rows = lehmer(seed, 7919), lehmer(seed, 7907), []
@@ -170,7 +175,7 @@ def draws(seed: int, bound: float, std: float, samples: int, outputs: int = 2) -
 @pytest.mark.parametrize(("bound", "std"), [(0.3, 0.0), (0.0, 0.2), (0.3, 0.2)])
 @pytest.mark.parametrize("h", [0.1, 0.05])
 def test_the_kth_sample_carries_the_kth_draw_of_both_kinds(bound: float, std: float, h: float) -> None:
-    sensor = {"sensor.sample_time": 0.1, "sensor.noise_bound": bound, "sensor.noise_std": std, "sensor.seed": 5}
+    sensor = {"sensor.sample_time": 0.1, "sensor.seed": 5} | of_both(bound, std)
     noisy, clean = Instance(plant(FORCED), sensor), Instance(plant(FORCED))
     found = []
     for k in range(round(0.8 / h)):
@@ -184,7 +189,7 @@ def test_the_kth_sample_carries_the_kth_draw_of_both_kinds(bound: float, std: fl
 
 def test_the_two_kinds_of_noise_are_independent() -> None:
     def stream(bound: float, std: float) -> np.ndarray:
-        sensor = {"sensor.sample_time": 0.1, "sensor.noise_bound": bound, "sensor.noise_std": std, "sensor.seed": 3}
+        sensor = {"sensor.sample_time": 0.1, "sensor.seed": 3} | of_both(bound, std)
         noisy, clean, rows = Instance(plant(FORCED), sensor), Instance(plant(FORCED), {"sensor.sample_time": 0.1}), []
         for k in range(400):
             for run in (noisy, clean):
@@ -197,8 +202,69 @@ def test_the_two_kinds_of_noise_are_independent() -> None:
     assert abs(np.corrcoef(uniform, gaussian)[0, 1]) < 3 / math.sqrt(len(uniform))
 
 
+def test_each_output_has_noise_of_its_own_and_the_draws_of_the_others_stay() -> None:
+    def stream(sensor: dict[str, float]) -> np.ndarray:
+        clock = {"sensor.sample_time": 0.1, "sensor.seed": 4}
+        noisy, clean, rows = Instance(plant(FORCED), sensor | clock), Instance(plant(FORCED)), []
+        for k in range(20):
+            rows.append([noisy.get(name) - clean.get(name) for name in ("y1", "y2")])
+            for run in (noisy, clean):
+                run.step(k * 0.1, 0.1)
+        return np.array(rows)
+
+    own = stream({"sensor.noise_std.y2": 0.2, "sensor.noise_bound.y1": 0.3})
+    np.testing.assert_allclose(own[:, 0], draws(4, 0.3, 0.0, 20)[:, 0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(own[:, 1], draws(4, 0.0, 0.2, 20)[:, 1], rtol=0, atol=1e-14)
+
+
+def input_draws(seed: int, std: float, samples: int) -> list[float]:
+    """The noise on a single input: a stream of its own, a pair of numbers for each sample."""
+    gaussian = lehmer(seed, 7901)
+    pairs = [(next(gaussian) / 2147483647, next(gaussian) / 2147483647) for _ in range(samples)]
+    return [std * math.sqrt(-2 * math.log(radius)) * math.cos(2 * math.pi * angle) for radius, angle in pairs]
+
+
+def test_noise_of_an_input_drives_the_plant_and_is_held_from_sample_to_sample() -> None:
+    clock = {"sensor.sample_time": 0.1, "sensor.seed": 4}
+    noisy = Instance(plant(FORCED, input_noise=True), clock | {"actuator.noise_std": 0.7})
+    told = Instance(plant(FORCED))  # is told the force that the other one makes up
+    pushes = input_draws(4, 0.7, 13)
+    told.set("force", 0.5 + pushes[0])
+    for k in range(12):
+        for name in ("x.s", "x.v", "y1", "y2"):
+            assert noisy.get(name) == pytest.approx(told.get(name), abs=1e-12)
+        told.set("force", 0.5 + pushes[k + 1])  # the jump at t_k draws what acts from then on
+        noisy.step(k * 0.1, 0.1)
+        told.step(k * 0.1, 0.1)
+    assert abs(noisy.get("x.v") - Instance(plant(FORCED)).get("x.v")) > 0.01
+
+
+def test_noise_of_inputs_leaves_that_of_the_sensor_as_it_is_and_is_off_unless_asked_for() -> None:
+    sensor = {"sensor.sample_time": 0.1, "sensor.seed": 4, "sensor.noise_std.y1": 1.0}
+    with_input, without = Instance(plant(FORCED, input_noise=True), sensor), Instance(plant(FORCED), sensor)
+    for k in range(10):
+        with_input.step(k * 0.1, 0.1)
+        without.step(k * 0.1, 0.1)
+        assert with_input.get("y1") == without.get("y1")
+    assert not [port.name for port in plant(FORCED).parameters if port.name.startswith("actuator")]
+
+
+def test_noise_of_inputs_where_there_are_none_is_refused() -> None:
+    with pytest.raises(ValueError, match="plant 'alone': input_noise of a model without known inputs"):
+        plant(
+            Model(
+                name="alone",
+                states=[Variable("x", start=1.0)],
+                outputs=[Variable("y")],
+                ode=lambda x, u, p, t: [-x.x],
+                output=lambda x, u, p, t: [x.x],
+            ),
+            input_noise=True,
+        )
+
+
 def test_without_a_sample_time_the_measurement_is_clean_whatever_the_noise() -> None:
-    noisy = Instance(plant(FORCED), {"sensor.noise_bound": 1.0, "sensor.noise_std": 1.0, "sensor.seed": 1})
+    noisy = Instance(plant(FORCED), of_both(1.0, 1.0) | {"sensor.seed": 1})
     clean = Instance(plant(FORCED))
     for k in range(5):
         assert noisy.get("y1") == clean.get("y1") and noisy.get("y2") == clean.get("y2")

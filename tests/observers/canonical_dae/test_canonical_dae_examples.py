@@ -15,7 +15,7 @@ from reference_models import nikoukhah_1995
 from reference_models.motor import MOTOR
 
 A2 = next(v.start for v in MOTOR.parameters if v.name == "A2")
-NOISE = {"plant.sensor.noise_std": 1e-3, "plant.sensor.sample_time": 1e-3}
+NOISE = {f"plant.sensor.noise_std.{y}": 1e-3 for y in ("y1", "y2")} | {"plant.sensor.sample_time": 1e-3}
 Example = Callable[..., Result]
 
 

@@ -8,7 +8,7 @@ from observers.numerics import noise
 
 def sequence(seed, count, bound=0.0, deviation=0.0):
     states = ca.SX.sym("s", 2)
-    draw = ca.Function("draw", [states], list(noise.draw(states, 1, bound, deviation)))
+    draw = ca.Function("draw", [states], list(noise.draw(states, [bound], [deviation])))
     state, values = noise.start(ca.DM(seed)), []
     for _ in range(count):
         state, value = draw(state)
