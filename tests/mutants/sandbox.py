@@ -185,7 +185,7 @@ class Quickest:
 
     def __init__(self, times: Path, measure: bool):
         self.path, self.measure = times, measure
-        self.times: dict[str, float] = json.loads(times.read_text()) if times.is_file() else {}
+        self.times: dict[str, float] = json.loads(times.read_text()) if times.is_file() and not measure else {}
 
     def pytest_collection_modifyitems(self, items: list) -> None:
         def order(item) -> tuple[bool, float]:
@@ -195,13 +195,34 @@ class Quickest:
         items[:] = sorted(chosen, key=order)
 
     @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_setup(self, item):
+        return (yield from self._limited(item, 3 * SLOW))
+
+    @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item):
+        return (yield from self._limited(item, SLOW))
+
+    def _limited(self, item, seconds: float):
+        """Without a fault: what takes too long is noted, ended and skipped."""
+        if not self.measure:
+            return (yield)
+
+        def too_slow(*_: object) -> None:
+            self.times[item.nodeid] = 1e6
+            pytest.skip("too slow")
+
+        signal.signal(signal.SIGPROF, too_slow)
+        signal.setitimer(signal.ITIMER_PROF, seconds)
         began = _processor_time()
         try:
             return (yield)
         finally:
-            if self.measure:
-                self.times[item.nodeid] = round(_processor_time() - began, 3)
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            taken = _processor_time() - began
+            if (
+                seconds == SLOW or self.times.get(item.nodeid) == 1e6
+            ):  # building an FMU in the set-up is shared with others
+                self.times[item.nodeid] = max(self.times.get(item.nodeid, 0.0), round(taken, 3))
 
     def pytest_sessionfinish(self) -> None:
         if self.measure:
