@@ -23,8 +23,11 @@ class Area:
         return sorted(path.relative_to(root).as_posix() for path in found if path.stat().st_size)
 
 
+SHARED = ("tests/observers/test_time.py", "tests/observers/test_diagnostics.py")
+
+
 def _method(name: str, *tests: str) -> Area:
-    return Area((f"observers/{name}/*.py",), (f"tests/observers/{name}", *tests))
+    return Area((f"observers/{name}/*.py",), (f"tests/observers/{name}", *SHARED, *tests))
 
 
 AREAS = {
@@ -54,7 +57,7 @@ AREAS = {
             "tests/observers/pseudospectral",
         ),
     ),
-    "pseudospectral": Area(("observers/pseudospectral/*.py",), ("tests/observers/pseudospectral",)),
+    "pseudospectral": Area(("observers/pseudospectral/*.py",), ("tests/observers/pseudospectral", *SHARED)),
     "riccati": _method("riccati", "tests/observers/test_missing_measurements.py"),
     "ukf": _method("ukf", "tests/observers/test_missing_measurements.py"),
     "least_squares": _method("least_squares", "tests/observers/test_missing_measurements.py"),

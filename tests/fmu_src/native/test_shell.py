@@ -578,3 +578,11 @@ def test_null_pointers_of_status_queries_are_named(slave: Make) -> None:
         assert [text for _, _, text in fmu.messages] == [f"{function}: the place for the value is a null pointer."]
     for function in ("fmi2GetStatus", "fmi2GetIntegerStatus", "fmi2GetStringStatus"):
         assert getattr(library, function)(handle, 0, None) == 2
+
+
+def test_what_a_step_takes_is_counted_from_where_the_run_is(slave: Make) -> None:
+    """A third of a million sample instants a step, three times: each step is legal, however many went before."""
+    fmu = slave("duffing").initialize({"sensor.sample_time": 1e-6})
+    for k in range(3):
+        fmu.step(0.35 * k, 0.35)
+    assert fmu.fmu.getRealStatus(fmi2LastSuccessfulTime) == pytest.approx(1.05, abs=1e-9)

@@ -1,0 +1,79 @@
+"""What every observer says beside its estimate, against what it must be: innovations, counters, the estimate of a lost sample."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from observers.instance import Instance
+from reference_models.plant import plant
+from test_time import CONVERGENT, EXACT, SWING, T0, TS
+
+KINDS = {name: made[0] for name, made in (EXACT | CONVERGENT).items()}
+GUESS = {"guess.a": 0.7, "guess.b": -0.1}
+
+
+def noisy(kind: str, lost: dict[int, float], samples: int = 30):
+    """Yields (k, observer before the sample, y) and steps; `lost`: what stands in for some samples, None: it has not arrived."""
+    made, rng = KINDS[kind](TS), np.random.default_rng(4)
+    observer, true = Instance(made, GUESS, t0=T0), Instance(plant(SWING), t0=T0)
+    for k in range(samples):
+        for one in (observer, true):
+            one.set("u", math.cos(0.3 * k))
+        y = lost.get(k, true.get("y") + 0.003 * rng.normal())
+        observer.set("measurement_valid.y", y is not None)
+        observer.set("y", 77.0 if y is None else y)
+        yield k, observer, y
+        true.step(T0 + k * TS, TS)
+
+
+def output(observer: Instance, t: float) -> float:
+    return (1 + 0.2 * math.sin(1.3 * t)) * observer.get("estimate.a") + 0.1 * t
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.startswith("canonical_dae")])
+def test_the_innovation_is_the_sample_less_the_output_of_the_estimate_before_it(kind: str) -> None:
+    found, expected = [], []
+    for k, observer, y in noisy(kind, {}):
+        expected.append(y - output(observer, T0 + k * TS))
+        observer.step(T0 + k * TS, TS)
+        found.append(observer.get("diagnostics.innovation"))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+    assert min(np.abs(expected[1:])) > 1e-6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_lost_sample_leaves_the_prediction_and_counts_if_it_came_and_was_none(kind: str) -> None:
+    lost = {3: math.nan, 9: None, 10: math.inf, 17: -math.inf, 18: None, 25: math.nan}
+    counted = 0
+    for k, observer, y in noisy(kind, lost):  # type: ignore[arg-type]
+        before = [observer.get(f"estimate.{name}") for name in "ab"]
+        observer.step(T0 + k * TS, TS)
+        counted += y is not None and not math.isfinite(y)
+        assert observer.get("diagnostics.rejected_samples") == counted
+        assert observer.get("diagnostics.solver_failures") == 0
+        after = [observer.get(f"filtered.{name}") for name in "ab"]
+        if k in lost:
+            np.testing.assert_allclose(after, before, rtol=0, atol=1e-14)
+            if "diagnostics.innovation" in [port.name for port in observer.component.outputs]:
+                assert observer.get("diagnostics.innovation") == 0
+        elif k > 8 and kind != "spline":  # which waits until a window has been full
+            assert np.abs(np.array(after) - before).max() > 1e-9
+    assert counted == 4
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_estimate_moves_on_from_the_filtered_one_as_the_model_does(kind: str) -> None:
+    """Over the last step: the plant, started from what is `filtered`, comes to what is the `estimate`."""
+    for k, observer, _ in noisy(kind, {}, 20):
+        observer.step(T0 + k * TS, TS)
+        t = T0 + k * TS
+        start = {f"start.{name}": observer.get(f"filtered.{name}") for name in "ab"}
+        moved = Instance(plant(SWING), start, t0=t, inputs={"u": math.cos(0.3 * k)})
+        moved.step(t, TS)
+        found = [observer.get(f"estimate.{name}") for name in "ab"]
+        expected = [moved.get(f"x.{name}") for name in "ab"]
+        limit = 1e-3 if "stiff" in kind or "canonical" in kind else 1e-9
+        np.testing.assert_allclose(found, expected, rtol=0, atol=limit)
