@@ -7,6 +7,7 @@ is not the one it is.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -107,7 +108,5 @@ def test_an_interval_that_is_no_clean_quotient_counts_its_samples(intervals: int
         assert run.get("diagnostics.intervals") == k // intervals
     # Within an interval what remains of the initial error goes down, and from its first sample on it starts again.
     starts = [k for k in range(1, len(sizes)) if sizes[k] > sizes[k - 1]]
-    assert [later - earlier for earlier, later in zip(starts, starts[1:], strict=False)] == [intervals] * (
-        len(starts) - 1
-    )
+    assert {later - earlier for earlier, later in pairwise(starts)} == {intervals}
     assert len(starts) >= 3
