@@ -13,6 +13,7 @@ the window's length.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,42 +33,59 @@ from observers.pseudospectral.window.trajectory import Trajectory
 SMALLEST = 1e-9  # standard deviation, relative to the nominal value: a weight is one over its square
 
 
-def ports_of(
-    model: Model,
-    wanted: bool,
-    process_noise: Mapping[str, float] | None,
-    measurement_noise: Mapping[str, float] | None,
-    initial_std: Mapping[str, float] | None,
-) -> tuple[Port, ...]:
-    """The tuning parameters of the arrival cost, and the measurement noise where it is given without one.
+@dataclass(frozen=True)
+class Given:
+    """What is said of noise: whether there is an arrival cost, whether the samples have weights of their own, and deviations by name."""
+
+    arrival: bool
+    weighted: bool
+    process_noise: Mapping[str, float] | None
+    measurement_noise: Mapping[str, float] | None
+    initial_std: Mapping[str, float] | None
+
+    @property
+    def driven(self) -> bool:
+        return self.arrival or self.process_noise is not None
+
+
+def ports_of(model: Model, given: Given) -> tuple[Port, ...]:
+    """The tuning parameters of the noises and of the arrival cost.
 
     Raises:
-        ModelError: other deviations given without an arrival cost, or of something that is not estimated or measured.
+        ModelError: a deviation of the guess without an arrival cost, or one of something that is not estimated or measured.
     """
-    if not wanted:
-        for name, value in (("process_noise", process_noise), ("initial_std", initial_std)):
-            if value is not None:
-                raise ModelError(f"pseudospectral: {name} belongs to an arrival cost: give arrival_cost=True")
+    if given.initial_std is not None and not given.arrival:
+        raise ModelError("pseudospectral: initial_std belongs to an arrival cost: give arrival_cost=True")
     estimated = (*model.states, *model.unknown_parameters)
     owner = "pseudospectral"
+    process = ports.deviations(owner, "process_noise", ports.PROCESS_NOISE, estimated, given.process_noise, 0.0)
     measured = ports.deviations(
-        owner, "measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, measurement_noise, 0.1, smallest=SMALLEST
+        owner,
+        "measurement_noise",
+        ports.MEASUREMENT_NOISE,
+        model.outputs,
+        given.measurement_noise,
+        0.1,
+        smallest=SMALLEST,
     )
-    if not wanted:
-        return measured if measurement_noise is not None else ()
+    first = ports.deviations(
+        owner, "initial_std", ports.INITIAL_STD, estimated, given.initial_std, 1.0, "fixed", smallest=SMALLEST
+    )
     return (
-        *ports.deviations(owner, "process_noise", ports.PROCESS_NOISE, estimated, process_noise, 0.0),
-        *measured,
-        *ports.deviations(
-            owner, "initial_std", ports.INITIAL_STD, estimated, initial_std, 1.0, "fixed", smallest=SMALLEST
-        ),
+        *(process if given.driven else ()),
+        *(measured if given.weighted else ()),
+        *(first if given.arrival else ()),
     )
 
 
-def settings(model: Model, wanted: bool, weighted: bool) -> dict[str, int]:
-    """Sizes of the tuning parameters, in the order of `ports_of`; `weighted`: the measurement noise is given."""
-    ns = len(model.states) + len(model.unknown_parameters) if wanted else 0
-    return {"process_noise": ns, "measurement_noise": len(model.outputs) if weighted else 0, "initial_std": ns}
+def settings(model: Model, given: Given) -> dict[str, int]:
+    """Sizes of the tuning parameters, in the order of `ports_of`."""
+    ns = len(model.states) + len(model.unknown_parameters)
+    return {
+        "process_noise": ns if given.driven else 0,
+        "measurement_noise": len(model.outputs) if given.weighted else 0,
+        "initial_std": ns if given.arrival else 0,
+    }
 
 
 def state(model: Model, wanted: bool) -> dict[str, int]:
@@ -104,16 +122,19 @@ def advance(method: Method, now: Instant, window: Window, at: Trajectory) -> dic
     """Mean and covariance for the next window; `at` is this window's trajectory."""
     s, q, problem = now.s, now.q, method.problem
     ny, nu = problem.ny, problem.nu
-    x1, S1 = first_sample(problem)(*at, window.data, q.model, window.U)
-    z_start = at.Z[: problem.rates.n_algebraic] if problem.n_algebraic else s.z
+    V, Z, unknown, nu_noise = at
+    noise = window.noise_std * nu_noise
+    x1, S1 = first_sample(problem)(V, Z, unknown, noise, window.data, q.model, window.U)
+    z_start = Z[: problem.rates.n_algebraic] if problem.n_algebraic else s.z
     first_input = window.at_points[:nu] if nu else ca.MX(0, 1)
+    held = noise[: len(problem.noisy_states)] if problem.noisy_states else ca.MX(0, 1)
     first = [window.Y[:ny], window.W[:ny], first_input, q.model, window.start, z_start]
-    moved = [at.s, s.prior_mean, s.prior_covariance, x1, ca.vec(S1)]
+    moved = [unknown, s.prior_mean, s.prior_covariance, x1, ca.vec(S1), held]
     mean_next, P_next = _moved_on(method)(*moved, *first, q.measurement_noise, q.process_noise)
     # The prior of a window that does not move yet stays; one that is lost starts again around the prediction.
     moves = s.k >= method.samples
     lost = ca.logic_not(ca.sumsqr(ca.vertcat(mean_next, P_next)) < HUGE)
-    again = {"prior_mean": at.s, "prior_covariance": ca.vec(ca.diag(q.initial_std**2))}
+    again = {"prior_mean": unknown, "prior_covariance": ca.vec(ca.diag(q.initial_std**2))}
     return {
         name: ca.if_else(moves, ca.if_else(lost, again[name], following), old)
         for name, following, old in (
@@ -124,21 +145,24 @@ def advance(method: Method, now: Instant, window: Window, at: Trajectory) -> dic
 
 
 def _moved_on(method: Method) -> ca.Function:
-    """(s*, sbar, P, x1, S1, y0, whether each of y0 is there, u0, p, t, z0, R's and Qd's deviations) -> (sbar, P) a sample later.
+    """(s*, sbar, P, x1, S1, w*, y0, whether each of y0 is there, u0, p, t, z0, R's and Qd's deviations) -> (sbar, P) a sample later.
 
-    The two formulas of the module's docstring: the correction by the sample that is left behind, and the motion.
+    The two formulas of the module's docstring: the correction by the sample that is left behind, and the motion. The prior knows nothing of
+    the noise w* that the window found on the rates, which is taken out of x1 again; its part of S1 carries that of the prior.
     """
     problem = method.problem
     nx, ns, ny, nu = problem.nx, len(problem.scale), problem.ny, problem.nu
-    parts = [
-        ca.SX.sym(name, size) for name, size in (("s", ns), ("mean", ns), ("P", ns * ns), ("x1", nx), ("S1", nx * ns))
-    ]
-    around, mean, P, x1, S1 = parts
+    sizes = (ns, ns, ns * ns, nx, nx * (ns + problem.n_noise), len(problem.noisy_states))
+    parts = [ca.SX.sym(name, size) for name, size in zip(("s", "mean", "P", "x1", "S1", "held"), sizes, strict=True)]
+    around, mean, P, x1, S1, held = parts
+    S1 = ca.reshape(S1, nx, ns + problem.n_noise)
+    Gamma = S1[:, ns : ns + len(problem.noisy_states)]
     P = ca.reshape(P, ns, ns)
     theta = around[nx:] if ns > nx else ca.SX(0, 1)  # an empty slice would be 1 x 0
     y0, there, u0 = ca.SX.sym("y0", ny), ca.SX.sym("valid", ny), ca.SX.sym("u0", nu)
     p, t, z0 = ca.SX.sym("p", problem.n_parameters), ca.SX.sym("t"), ca.SX.sym("z0", len(method.model.algebraic))
-    noise, drift = ca.SX.sym("noise", ny), ca.SX.sym("drift", ns)
+    noise, intensity = ca.SX.sym("noise", ny), ca.SX.sym("drift", ns)
+    drift = ca.SX(intensity)
     expected, _ = algebraic.measurement(method.equations)(around[:nx], u0, p, theta, t, z0)
     M = ca.diag(there) @ ca.densify(ca.jacobian(expected, around))
     innovation = ca.if_else(there, y0 - expected - ca.mtimes(M, mean - around), 0)
@@ -147,9 +171,16 @@ def _moved_on(method: Method) -> ca.Function:
     corrected = mean + ca.mtimes(G, innovation)
     left = ca.SX.eye(ns) - ca.mtimes(G, M)
     after = ca.mtimes([left, P, left.T]) + ca.mtimes([G, R, G.T])
-    A = ca.vertcat(ca.reshape(S1, nx, ns), ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx)))
+    A = ca.vertcat(S1[:, :ns], ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx)))
     new_mean = ca.vertcat(x1, theta) + ca.mtimes(A, corrected - around)
-    new_P = ca.mtimes([A, after, A.T]) + ca.diag(drift**2 * problem.segment.sample_time)
+    new_P = ca.mtimes([A, after, A.T])
+    Ts, noisy = problem.segment.sample_time, list(problem.noisy_states)
+    if noisy:
+        new_mean -= ca.vertcat(ca.mtimes(Gamma, held), ca.SX(ns - nx, 1))
+        spread = ca.mtimes([Gamma, ca.diag(drift[noisy] ** 2), Gamma.T]) / Ts
+        new_P += ca.diagcat(spread, ca.SX(ns - nx, ns - nx))
+        drift[noisy] = 0
+    new_P += ca.diag(drift**2 * Ts)
     new_P = ca.vec((new_P + new_P.T) / 2)
-    arguments = [*parts, y0, there, u0, p, t, z0, noise, drift]
+    arguments = [*parts, y0, there, u0, p, t, z0, noise, intensity]
     return ca.Function("advance_prior", arguments, [new_mean, new_P], {"cse": True})

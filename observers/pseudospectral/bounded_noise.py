@@ -154,12 +154,13 @@ def _reach(
             for sign, start in ((1.0, starts[1]), (-1.0, starts[0])):
                 own = {**known, "w": sign * mine}
                 arguments = [q.tolerance, q.iteration_limit, *[own[name] for name in problem_3.given]]
-                V, Z, unknown, size, _, _, _, slack, _ = solve(wanted, *start, *arguments)
-                value = ca.dot(mine, residual(V, Z, unknown, known["data"], known["p"], known["y"]) + known["y"])
+                V, Z, unknown, noise, size, _, _, _, slack, _ = solve(wanted, *start, *arguments)
+                along = residual(V, Z, unknown, noise, known["data"], known["p"], known["y"])
+                value = ca.dot(mine, along + known["y"])
                 met = ca.logic_and(ca.logic_and(size < q.tolerance**2, slack < MET), ca.fabs(value) < HUGE)
                 furthest = ca.fmax(furthest, ca.if_else(met, sign * (value - predicted), 0))
                 found = ca.logic_and(found, met) if turn == 0 else found
-                ends.append(tuple(ca.if_else(met, b, a) for a, b in zip(at, (V, Z, unknown), strict=True)))
+                ends.append(tuple(ca.if_else(met, b, a) for a, b in zip(at, (V, Z, unknown, noise), strict=True)))
             starts = ends
         return furthest, found
 

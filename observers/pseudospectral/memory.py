@@ -33,6 +33,8 @@ def layout(method: Method) -> Layout:
         * problem.n_rates,  # the window's trajectory: rates and algebraic variables at the nodes, first state
         Z=problem.count * problem.n_algebraic,
         x0=nx,
+        noise=problem.count * problem.n_noise,  # its process noise, and theta at its start where that has some
+        theta_first=nt if problem.noisy_parameters else 0,
         **arrival.state(method.model, method.arrival),
         **bounded_noise.state(method.model, method.constraints, L),
         innovation=ny,

@@ -87,6 +87,8 @@ def _next(
         "V": solution.trajectory.V,
         "Z": solution.trajectory.Z,
         "x0": found.x0,
+        "noise": solution.trajectory.noise,
+        "theta_first": solution.trajectory.s[method.problem.nx :] if method.problem.noisy_parameters else ca.DM(0, 1),
         "innovation": window.innovation,
         "model": now.q.model,
         "k": s.k + 1,

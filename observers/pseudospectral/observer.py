@@ -28,7 +28,7 @@ from observers.linearisation import prediction_step
 from observers.model import Model
 from observers.numerics.layout import Layout
 from observers.numerics.semilinear import lift_inputs
-from observers.pseudospectral import arrival, bounded_noise, memory, moving_horizon, prediction, structure
+from observers.pseudospectral import arrival, bounded_noise, disturbances, memory, moving_horizon, prediction, structure
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.ports import (
     CONSTRAINT_VIOLATION,
@@ -71,10 +71,13 @@ def pseudospectral(
         noise_bound: start value of `tuning.noise_bound`, for all outputs or by name, in the outputs' units; with it the estimated
             output stays in the tube (38), which Problem 3 makes narrower. None: no tube.
         arrival_cost: whether samples that have left the window go on counting, through a quadratic cost of the window's
-            first state; on a linear model the estimate is then the Kalman filter's.
-        process_noise, measurement_noise, initial_std: with an arrival cost, start values of `tuning.process_noise.<state or unknown
-            parameter>` (intensity in the variable's unit per sqrt(s), 0 if absent), `tuning.measurement_noise.<output>` (standard deviation
-            of a sample, 0.1 of the nominal value) and `tuning.initial_std.<...>` (that of the guess, the nominal value).
+            first state; on a linear model with one segment a sample the estimate is then the Kalman filter's.
+        process_noise: start values of `tuning.process_noise.<state, unknown parameter or unknown disturbance>`, intensities in the
+            variable's unit per sqrt(s), so that its variance grows by their square per second; 0 if absent, the nominal value for an
+            unknown disturbance. What is given more than 0 acts inside the window, constant over each segment.
+        measurement_noise, initial_std: start values of `tuning.measurement_noise.<output>` (standard deviation of a sample; with an arrival
+            cost or process noise 0.1 of the nominal value if absent) and, with an arrival cost, `tuning.initial_std.<...>` (that of the
+            guess, the nominal value if absent).
         guess: start values of `guess.*` that differ from the model's.
         name: the component's name; `<model>_pseudospectral` if absent.
         max_step: the longest prediction step [s] (Dormand-Prince, order 8); shortened as
@@ -82,16 +85,20 @@ def pseudospectral(
         stop_time: of the default experiment [s].
 
     Raises:
-        ModelError: unknown disturbances, a state or unknown parameter that no output can ever see, algebraic variables that do not act on
-            the states or have bounds, a noise bound of something that is no output.
+        ModelError: a state or unknown parameter that no output can ever see, algebraic variables that do not act on the states or have
+            bounds, a noise bound of something that is no output or beside process noise.
         ValueError: N, L, segments or sample_time out of range, a window with fewer measurements than unknowns; an unknown cost, or one
             that does not go with segments or a noise bound.
     """
-    structure.check(model, sample_time, N, L, segments, cost, noise_bound is not None or arrival_cost)
+    model, process_noise = disturbances.wandering(model, process_noise)
+    noisy = structure.noisy(model, process_noise, noise_bound is not None)
+    more = noise_bound is not None or arrival_cost or any(noisy)
+    structure.check(model, sample_time, N, L, segments, cost, more)
     tuning = (*TUNING, REGULARITY_LIMIT) if model.algebraic else TUNING
     tube = bounded_noise.ports_of(model, noise_bound)
-    weighted = arrival_cost or measurement_noise is not None
-    arrival_ports = arrival.ports_of(model, arrival_cost, process_noise, measurement_noise, initial_std)
+    weighted = arrival_cost or any(noisy) or measurement_noise is not None
+    given = arrival.Given(arrival_cost, weighted, process_noise, measurement_noise, initial_std)
+    arrival_ports = arrival.ports_of(model, given)
     settings = Layout(
         guess_x=len(model.states),
         guess_z=len(model.algebraic),
@@ -100,10 +107,10 @@ def pseudospectral(
         **{ports.last_name(port): 1 for port in tuning},
         noise_bound=len(model.outputs) if tube.tuning else 0,
         bound_margin=1 if tube.tuning else 0,
-        **arrival.settings(model, arrival_cost, weighted),
+        **arrival.settings(model, given),
     )
     lifted, lift = lift_inputs(model.equations)
-    problem = structure.problem(model, lifted, N, L, segments, sample_time, cost)
+    problem = structure.problem(model, lifted, N, L, segments, sample_time, cost, noisy)
     constraints = structure.constraints(model, problem, bool(tube.tuning))
     method = Method(
         model,

@@ -26,7 +26,7 @@ def flow(method: Method) -> ca.Function:
     known = u[ny : ny + nu] if nu else ca.SX(0, 1)
     motion = algebraic.motion(eq)
     moved = runge_kutta(lambda x, time: motion(x, known, q.model, s.theta, time, s.z)[0], s.x, t, h)
-    drift = q.process_noise if method.arrival else ca.SX.zeros(len(method.problem.scale))
+    drift = q.process_noise if q.process_noise.numel() else ca.SX.zeros(len(method.problem.scale))
     followed = algebraic.followed(eq, [v.nominal for v in model.algebraic])
     moved_z, lost = followed(moved, s.z, known, q.model, s.theta, t + h)
     sound = ca.logic_and(ca.sumsqr(ca.vertcat(moved, moved_z)) < HUGE, ca.logic_not(lost))

@@ -84,7 +84,7 @@ def _spline(method: Method, now: Instant, window: Window, start: Start) -> tuple
     s, problem, ny, L = now.s, method.problem, method.problem.ny, method.samples
     segment = problem.segment
     matrix = spline_matrix(L, segment.node_times / segment.sample_time)
-    V, Z, unknown = start.trajectory
+    V, Z, unknown, _ = start.trajectory
     outputs = trajectory.outputs_at_samples(problem, method.measure)
     along = outputs(V, Z, unknown[: problem.nx], s.theta, now.q.model, window.U, window.start)
     y = ca.MX(ca.DM(np.kron(matrix, np.eye(ny)))) @ ca.if_else(window.W, window.Y, along)
@@ -96,7 +96,8 @@ def _spline(method: Method, now: Instant, window: Window, start: Start) -> tuple
 def solve(method: Method, now: Instant, window: Window, start: Start, ref: Reference) -> Solution:
     """Step 3: Problem 2 from Z_initial. No solve without samples enough, nor where the prediction's cost is below `cost_threshold`."""
     problem, q = method.problem, now.q
-    residual = output_residual(problem)(*start.trajectory, window.data, q.model, ref.y)
+    V, Z, unknown, noise = start.trajectory
+    residual = output_residual(problem)(V, Z, unknown, window.noise_std * noise, window.data, q.model, ref.y)
     before = ca.dot(ref.weight, residual**2)
     wanted = ca.logic_and(ref.enough, ca.sum1(window.valid) > 0)
     below = ca.logic_and(before < q.cost_threshold, start.warm)
@@ -104,7 +105,6 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
     given = _given(method, now, window, ref)
     found, bounds = _solved(method, now, window, start, due, given, residual)
     *new, size, cost_after, conditioning, spread, slack, iterations = found
-    noise = _noise(method, window, cost_after)
     converged, determined = _acceptable(method, now, new, size, conditioning, due)
     accepted = ca.logic_and(converged, determined)
     pairs = zip(new, start.trajectory, strict=True)
@@ -118,7 +118,7 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
         cost=kept(ca.if_else(accepted, cost_after, ca.if_else(ref.enough, before, 0)), now.s.cost),
         cost_after=cost_after,
         conditioning=kept(conditioning, 0),
-        covariance=spread * noise,
+        covariance=spread * _noise(method, window, cost_after),
         slack=kept(slack, 0),
         iterations=iterations,
         bounds=bounds,
@@ -156,6 +156,7 @@ def _given(method: Method, now: Instant, window: Window, ref: Reference) -> dict
     return {
         **given,
         "at": at,
+        "noise_std": window.noise_std,
         "active": window.active,
         **arrival.given(method.arrival, now.s, method.problem.scale, Ts),
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from observers.numerics.finite import finite
 from observers.pseudospectral.method import Method
-from observers.pseudospectral.window.problem import known_terms
+from observers.pseudospectral.window.problem import LeastSquares, known_terms
 from observers.pseudospectral.window.sliding import insert_input, insert_sample
 
 
@@ -42,7 +42,7 @@ class Window:
     `readable`, `valid` (ny): what of the new sample is a number, and what counts; `y` (ny) that, else 0; `innovation` (ny) against the
     prediction. `Y`, `W` (ny (L + 1)) the window's samples and their weights; `U` its inputs as `Segment` wants them, `seen` those at the
     samples where the outputs see them, `at_points` those at the measured points; `data` the problem's known terms, `start` its time [s];
-    `active` (segments), which of them have a sample.
+    `active` (segments), which of them have a sample; `noise_std` (segments n_noise) what their process noise is in units of.
     """
 
     readable: Any
@@ -59,6 +59,11 @@ class Window:
     data: Any
     start: Any
     active: Any
+    noise_std: Any
+
+    def driven(self, problem: LeastSquares, noise: Any) -> Any:
+        """What drives a trajectory with this process noise."""
+        return problem.driven(self.U, self.noise_std * noise) if problem.n_noise else self.U
 
 
 def collect(method: Method, now: Instant) -> Window:
@@ -88,6 +93,7 @@ def collect(method: Method, now: Instant) -> Window:
         data=known_terms(problem)(start, U, at_points, now.q.model),
         start=start,
         active=_active(method, place),
+        noise_std=_noise_std(method, now, place),
     )
 
 
@@ -96,6 +102,26 @@ def _active(method: Method, place: Any) -> Any:
     if problem.count == 1:
         return ca.MX(1)
     return ca.vertcat(1, place > ca.DM(range(1, problem.count)) * problem.segment.samples)
+
+
+def _noise_std(method: Method, now: Instant, place: Any) -> Any:
+    """Standard deviations of the segments' noise: q / sqrt(length) of a rate that is held, q sqrt(length) of a jump; the length of the
+    segment that holds the newest sample is up to that."""
+    problem = method.problem
+    if not problem.n_noise:
+        return ca.MX(0, 1)
+    m, nx = problem.segment.samples, problem.nx
+    q = now.q.process_noise
+    rates = ca.vertcat(*[q[i] for i in problem.noisy_states])
+    jumps = ca.vertcat(*[q[nx + i] for i in problem.noisy_parameters])
+    each = []
+    for j in range(problem.count):
+        root = ca.sqrt(ca.fmax(ca.fmin(place - j * m, m), 1) * problem.segment.sample_time)
+        each += [
+            rates / root if problem.noisy_states else ca.MX(0, 1),
+            jumps * root if problem.noisy_parameters else ca.MX(0, 1),
+        ]
+    return ca.vertcat(*each)
 
 
 def _inputs(method: Method, now: Instant) -> tuple[Any, Any, Any]:

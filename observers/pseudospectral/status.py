@@ -37,15 +37,18 @@ def quality(
     """What the estimate of this sample is worth."""
     s, q, problem, model = now.s, now.q, method.problem, method.model
     ny, Ts = problem.ny, problem.segment.sample_time
-    V, Z, _ = solution.trajectory
+    V, Z, unknown, noise = solution.trajectory
+    theta = estimate.theta
+    if problem.noisy_parameters:
+        theta = ca.vertcat(*problem.thetas(unknown[problem.nx :], window.noise_std * noise))
     node0, regularity = trajectory.node0(problem)(
         V,
         Z,
         estimate.x0,
-        estimate.theta,
+        theta,
         q.model,
         window.start,
-        window.U,
+        window.driven(problem, noise),
         *([window.active] if problem.count > 1 else []),
     )
     changed = _changed(method, now)

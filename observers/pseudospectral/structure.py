@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from observers.linearisation import refuse_unobservable
-from observers.model import Model, ModelError, refuse
+from observers.model import Model, ModelError
 from observers.numerics.equations import Equations
 from observers.numerics.semilinear import Split, split
 from observers.pseudospectral.window.collocation import segment
@@ -19,8 +20,7 @@ from observers.pseudospectral.window.problem import LeastSquares
 
 
 def check(model: Model, sample_time: float, N: int, L: int, segments: int, cost: str, more: bool) -> None:
-    """Raise as `pseudospectral` says; `more`: a noise bound or an arrival cost is asked for."""
-    refuse(model, "pseudospectral", "unknown_disturbances")
+    """Raise as `pseudospectral` says; `more`: a noise bound, an arrival cost or process noise is asked for."""
     least = (("N", N, 2), ("L", L, 3 if cost == "spline" else 1), ("segments", segments, 1))
     for name_of, value, lowest in least:
         if not isinstance(value, int) or value < lowest:
@@ -38,7 +38,9 @@ def check(model: Model, sample_time: float, N: int, L: int, segments: int, cost:
     if cost not in ("samples", "spline"):
         raise ValueError(f"pseudospectral: cost = {cost!r} must be 'samples' or 'spline'")
     if cost == "spline" and (segments > 1 or more):
-        raise ValueError("pseudospectral: the spline cost goes with one segment, without noise bound or arrival cost")
+        raise ValueError(
+            "pseudospectral: the spline cost goes with one segment, without noise bound, arrival cost or process noise"
+        )
     refuse_unobservable(model, "pseudospectral")
     for v in model.algebraic:
         if math.isfinite(v.min) or math.isfinite(v.max):
@@ -54,10 +56,38 @@ def check(model: Model, sample_time: float, N: int, L: int, segments: int, cost:
         )
 
 
-def problem(model: Model, eq: Equations, N: int, L: int, segments: int, sample_time: float, cost: str) -> LeastSquares:
+def noisy(
+    model: Model, process_noise: Mapping[str, float] | None, tube: bool
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Which states and which unknown parameters have process noise inside the window: those to which more than 0 is given.
+
+    Raises:
+        ModelError: there is some, and a noise bound.
+    """
+    given = process_noise or {}
+    groups = (model.states, model.unknown_parameters)
+    states, parameters = (tuple(i for i, v in enumerate(group) if given.get(v.name, 0.0) > 0) for group in groups)
+    if tube and (states or parameters):
+        names = ", ".join(v.name for group in groups for v in group if given.get(v.name, 0.0) > 0)
+        raise ModelError(
+            f"pseudospectral: noise_bound takes the model to be exact, but process_noise of {names} says that it is not: give one of them"
+        )
+    return states, parameters
+
+
+def problem(
+    model: Model,
+    eq: Equations,
+    N: int,
+    L: int,
+    segments: int,
+    sample_time: float,
+    cost: str,
+    noisy: tuple[tuple[int, ...], tuple[int, ...]],
+) -> LeastSquares:
     """Problem 2's data: where the outputs are compared, and in which units steps are measured."""
     parts, output = (_with_algebraic(split(f, eq.x, eq.u), eq) for f in (eq.ode, eq.output))
-    s = segment(parts, N, L // segments, sample_time, model.input_between_samples)
+    s = segment(parts, N, L // segments, sample_time, model.input_between_samples, noisy[0])
     nominal = np.array([v.nominal for v in (*model.states, *model.unknown_parameters)])
     z_scale = tuple(v.nominal for v in model.algebraic)
     bounded = [i for i, v in enumerate(model.states) if math.isfinite(v.min) or math.isfinite(v.max)]
@@ -74,6 +104,10 @@ def problem(model: Model, eq: Equations, N: int, L: int, segments: int, sample_t
         n_parameters=len(model.parameters),
         n_theta=len(model.unknown_parameters),
         bounded=tuple(bounded),
+        noisy_parameters=noisy[1],
+        output_sees_theta=bool(ca.depends_on(ca.vertcat(eq.output, eq.algebraic), eq.theta))
+        if eq.theta.numel()
+        else False,
     )
 
 

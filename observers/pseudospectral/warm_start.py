@@ -8,6 +8,7 @@ from a flat trajectory at the prediction, a second failure by one at the guess.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -51,8 +52,14 @@ def warm_start(method: Method, now: Instant, window: Window) -> Start:
         V = _where_active(window.active, problem.n_rates, V, ahead[0])
         Z = _where_active(window.active, problem.n_algebraic, Z, ahead[1])
     from_guess = ca.logic_or(s.fresh == AT_GUESS, ca.logic_and(origin > WARM, ca.logic_not(window.moving)))
-    unknown = ca.vertcat(x0, ca.if_else(from_guess, now.q.guess_theta, s.theta))
-    return Start(Trajectory(V, Z, unknown), origin)
+    theta = ca.if_else(from_guess, now.q.guess_theta, s.theta)
+    noise = ca.MX(0, 1)
+    if problem.n_noise:
+        noise = ca.if_else(origin > WARM, 0, ca.if_else(window.moving, _shifted_noise(method, s.noise), s.noise))
+    if problem.noisy_parameters:
+        first = ca.if_else(window.moving, _first_theta(method, window, s), s.theta_first)
+        theta = ca.if_else(origin > WARM, theta, first)
+    return Start(Trajectory(V, Z, ca.vertcat(x0, theta), noise), origin)
 
 
 def next_origin(now: Instant, start: Start, accepted: Any, failed: Any) -> Any:
@@ -61,13 +68,30 @@ def next_origin(now: Instant, start: Start, accepted: Any, failed: Any) -> Any:
     return ca.if_else(accepted, WARM, ca.if_else(failed, after_failure, start.origin))
 
 
+def _shifted_noise(method: Method, noise: Any) -> Any:
+    """The segments' noise a sample later, of which the newest has none yet."""
+    problem = method.problem
+    part = 1 / problem.segment.samples
+    return (1 - part) * noise + part * ca.vertcat(noise, ca.DM.zeros(problem.n_noise))[problem.n_noise :]
+
+
+def _first_theta(method: Method, window: Window, s: SimpleNamespace) -> Any:
+    """theta in the first segment a sample later."""
+    problem = method.problem
+    return s.theta_first + problem.jumps(window.noise_std * s.noise, 0) / problem.segment.samples
+
+
 def _shifted(method: Method, now: Instant, window: Window, z_now: Any) -> tuple[Any, Any, Any]:
     """(V, Z, x0) of the last trajectory, moved on by one sample."""
     s, problem = now.s, method.problem
     last_input = window.U[window.U.numel() - problem.nu :] if problem.nu else now.known
-    last = (s.V, s.Z, s.x0, s.u, s.x_filtered)
+    last = (s.V, s.Z, s.x0, problem.driven(s.u, window.noise_std * s.noise), s.x_filtered)
+    theta = s.theta
+    if problem.noisy_parameters:
+        jumps = window.noise_std * _shifted_noise(method, s.noise)
+        theta = ca.vertcat(*problem.thetas(_first_theta(method, window, s), jumps))
     shift = trajectory.shift(problem, method.equations)
-    return tuple(shift(*last, s.x, z_now, s.theta, now.q.model, window.data, last_input, now.t))
+    return tuple(shift(*last, s.x, z_now, theta, now.q.model, window.data, last_input, now.t))
 
 
 def _flat(method: Method, now: Instant, window: Window) -> tuple[Any, Any, Any]:

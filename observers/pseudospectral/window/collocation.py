@@ -27,7 +27,8 @@ from observers.pseudospectral.window.forced import forced_response, input_at
 class Segment:
     """Constants of a segment of `samples` = L sample intervals of length `sample_time` on LGL nodes of order N.
 
-    Stacked vectors are node-major: X = [X_1; ...; X_N], V likewise. `Phi` (N nx x nx), `Psi` (N nx x N nv), as Arb numbers.
+    Stacked vectors are node-major: X = [X_1; ...; X_N], V likewise. `Phi` (N nx x nx), `Psi` (N nx x N nv), as Arb numbers. `noisy` are the
+    states whose rates get a constant of their own, the process noise.
     """
 
     order: int
@@ -37,6 +38,7 @@ class Segment:
     input_kind: str
     Phi: np.ndarray
     Psi: np.ndarray
+    noisy: tuple[int, ...] = ()
 
     @property
     def length(self) -> float:
@@ -65,6 +67,15 @@ class Segment:
             return np.zeros((0, self.inputs_at(np.zeros(1)).shape[1] * self.split.B.shape[1]))
         Xi = forced_response(self.split.A, self.split.B, self.sample_time, self.samples, np.asarray(times), kind)
         return Xi[self._keep(times, states)]
+
+    def held(self, times: np.ndarray, states: list[int] | None = None) -> np.ndarray:
+        """The exact response of [x(times)]_states (rows x noisy) to the constants on the rates of the noisy states."""
+        if not self.noisy or len(times) == 0:
+            return np.zeros((len(self._keep(times, states)), len(self.noisy)))
+        onto = np.eye(len(self.split.A))[:, list(self.noisy)]
+        each = forced_response(self.split.A, onto, self.sample_time, self.samples, np.asarray(times), "held")
+        total = each.reshape(len(each), self.samples, len(self.noisy)).sum(axis=1)
+        return np.asarray(total[self._keep(times, states)])
 
     @in_high_precision
     def from_nodes(self, times: np.ndarray) -> np.ndarray:
@@ -100,7 +111,14 @@ class Segment:
 
 
 @in_high_precision
-def segment(split: Split, order: int, samples: int, sample_time: float, input_kind: str = "held") -> Segment:
+def segment(
+    split: Split,
+    order: int,
+    samples: int,
+    sample_time: float,
+    input_kind: str = "held",
+    noisy: tuple[int, ...] = (),
+) -> Segment:
     """The constants for polynomial order N = `order` over L = `samples` intervals. Cost O((N nx)^3), once, at build time."""
     nx = len(split.A)
     half = arb(samples * sample_time) / 2
@@ -109,7 +127,7 @@ def segment(split: Split, order: int, samples: int, sample_time: float, input_ki
     right = np.hstack([_whole(np.kron(np.ones((order, 1)), np.eye(nx))), half * np.kron(integrate, _whole(split.E))])
     both = table(S.solve(matrix(right)))
     Phi, Psi = both[:, :nx], both[:, nx:]
-    return Segment(order, samples, sample_time, split, input_kind, Phi, Psi)
+    return Segment(order, samples, sample_time, split, input_kind, Phi, Psi, noisy)
 
 
 def _whole(array: np.ndarray) -> np.ndarray:

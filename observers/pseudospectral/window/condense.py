@@ -45,19 +45,28 @@ class Linearised:
 
 
 def output_residual(problem: LeastSquares) -> ca.Function:
-    """Function residual(V, Z, s, data, p, y) -> h(points) - y, stacked (ny m)."""
+    """Function residual(V, Z, s, noise, data, p, y) -> h(points) - y, stacked (ny m)."""
     kind = problem.kind
-    V, Z, s, data, p, y = symbols(problem, kind)
-    xs, theta = s[: problem.nx], s[problem.nx :]
+    V, Z, s, noise, data, p, y = symbols(problem, kind)
+    xs, thetas = s[: problem.nx], problem.thetas(s[problem.nx :], noise)
     rows = []
     functions = [_residual(problem, j, kind) for j in range(min(problem.count, 2))]
     move = end(problem)
-    for j, (v, z) in enumerate(_segments(problem, V, Z)):
-        known = data[problem.data_of(j)]
-        rows.append(functions[min(j, 1)](xs, v, z, theta, known, p, y[problem.measured(j)]))
+    for j, (v, z) in enumerate(segments(problem, V, Z)):
+        known = _with_noise(problem, j, data[problem.data_of(j)], noise)
+        jump = [problem.jumps(noise, j)] if problem.sees_jumps else []
+        rows.append(functions[min(j, 1)](xs, v, z, thetas[j], known, p, y[problem.measured(j)], *jump))
         if j + 1 < problem.count:
             xs = move(xs, v, problem.data(j).unpack(known).forced_end)
-    return ca.Function("residual", [V, Z, s, data, p, y], [ca.vertcat(*rows)])
+    return ca.Function("residual", [V, Z, s, noise, data, p, y], [ca.vertcat(*rows)])
+
+
+def _with_noise(problem: LeastSquares, j: int, data: Any, noise: Any) -> Any:
+    """A segment's data with what its noise adds; `noise` is that of the whole window."""
+    if not problem.n_noise:
+        return data
+    own = noise[j * problem.n_noise : (j + 1) * problem.n_noise]
+    return data + ca.mtimes(type(data)(ca.DM(problem.noise_terms(j))), own)
 
 
 def end(problem: LeastSquares) -> ca.Function:
@@ -68,21 +77,25 @@ def end(problem: LeastSquares) -> ca.Function:
 
 
 def symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
-    """V, Z, s, data, p, y of the whole window, SX or MX."""
+    """V, Z, s, noise, data, p, y of the whole window, SX or MX."""
     counts = (
         problem.count * problem.n_rates,
         problem.count * problem.n_algebraic,
         problem.nx + problem.n_theta,
+        problem.count * problem.n_noise,
         problem.n_data,
         problem.n_parameters,
         problem.ny * problem.n_measured,
     )
-    return tuple(kind.sym(name, count) for name, count in zip(("V", "Z", "s", "data", "p", "y"), counts, strict=True))
+    names = ("V", "Z", "s", "noise", "data", "p", "y")
+    return tuple(kind.sym(name, count) for name, count in zip(names, counts, strict=True))
 
 
 @dataclass(frozen=True)
 class _Along:
-    """A segment's trajectory, and what is known of it, unpacked: what its rates and outputs are functions of."""
+    """A segment's trajectory, and what is known of it, unpacked: what its rates and outputs are functions of. `jump` (nt) is what theta
+    moves by at its end, where the outputs see it.
+    """
 
     xs: Any
     V: Any
@@ -90,6 +103,7 @@ class _Along:
     theta: Any
     known: SimpleNamespace
     p: Any
+    jump: Any = None
 
 
 def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str, Any]) -> Linearised:
@@ -103,10 +117,10 @@ def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str,
     RG = _at_start(problem, kind)
     normal = kind(ca.DM.zeros(n, n))
     parts: dict[str, list[Any]] = {name: [] for name in ("sol", "Z", "r", "M", "X", "G")}
-    first = _segment(problem, 0, kind)
-    later = _if_active(_segment(problem, 1, kind)) if problem.count > 1 else None
+    first = segment(problem, 0, kind)
+    later = _if_active(segment(problem, 1, kind)) if problem.count > 1 else None
     reached = kind(ca.DM.zeros(problem.nx, n))
-    for j, (v, z) in enumerate(_segments(problem, V, Z)):
+    for j, (v, z) in enumerate(segments(problem, V, Z)):
         before = RG
         arguments = [xs, RG, v, z, theta, data[problem.data_of(j)], p, y[problem.measured(j)], w[problem.measured(j)]]
         found = first(*arguments) if later is None or j == 0 else later(given["active"][j], *arguments)
@@ -149,28 +163,33 @@ def _reached(problem: LeastSquares, kind: Any, last: Any) -> Callable[..., Any]:
 
 
 def first_sample(problem: LeastSquares) -> ca.Function:
-    """first_sample(V, Z, s, data, p, U) -> (x, S): the state one sample after the window's start, and d x / d s (nx x ns)."""
+    """first_sample(V, Z, s, noise, data, p, U) -> (x, S): the state one sample after the window's start, and d x / d [s; noise]."""
     kind = problem.kind
-    V, Z, s, data, p, _ = symbols(problem, kind)
+    V, Z, s, noise, data, p, _ = symbols(problem, kind)
     U = kind.sym("U", problem.inputs(problem.count - 1).stop)
-    v, z = _segments(problem, V, Z)[0]
+    v, z = segments(problem, V, Z)[0]
     xs, theta, RG = s[: problem.nx], s[problem.nx :], _at_start(problem, kind)
-    known = problem.data(0).unpack(data[problem.data_of(0)])
+    known = problem.data(0).unpack(_with_noise(problem, 0, data[problem.data_of(0)], noise))
     sol, _ = _condense(problem, kind, _Along(xs, v, z, theta, known, p), RG)
     times = np.array([problem.segment.sample_time])
     Ph, Ps = problem.segment.at(times)
     Xi = problem.segment.forced(times)
     forced = ca.mtimes(kind(ca.DM(Xi)), U[problem.inputs(0)]) if Xi.any() else kind(ca.DM.zeros(problem.nx))
+    held = problem.segment.held(times)
+    if problem.n_noise:
+        forced = forced + ca.mtimes(kind(ca.DM(held)), noise[: len(problem.noisy_states)])
     x = _affine(kind, Ph, xs, Ps, v, forced)
-    return ca.Function("first_sample", [V, Z, s, data, p, U], [x, _sensitivity(kind, Ph, Ps, RG, sol)[:, 1:]])
+    S = _sensitivity(kind, Ph, Ps, RG, sol, problem.direct(held))[:, 1:]
+    return ca.Function("first_sample", [V, Z, s, noise, data, p, U], [x, S])
 
 
 def _at_start(problem: LeastSquares, kind: Any) -> Any:
     """RG at the window's start: [0 I 0]."""
-    return kind(ca.DM(np.hstack([np.zeros((problem.nx, 1)), np.eye(problem.nx, len(problem.scale))])))
+    width = len(problem.scale) + problem.n_noise
+    return kind(ca.DM(np.hstack([np.zeros((problem.nx, 1)), np.eye(problem.nx, width)])))
 
 
-def _segments(problem: LeastSquares, V: Any, Z: Any) -> list[tuple[Any, Any]]:
+def segments(problem: LeastSquares, V: Any, Z: Any) -> list[tuple[Any, Any]]:
     return list(zip(problem.chop(V, problem.n_rates), problem.chop(Z, problem.n_algebraic), strict=True))
 
 
@@ -184,38 +203,42 @@ def _if_active(function: ca.Function) -> ca.Function:
 
 
 def _residual(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
-    """residual(xs, V, Z, theta, data, p, y) -> h - y at the points of a first (j = 0) or later segment."""
-    xs, _, V, Z, theta, data, p, y, _ = _segment_symbols(problem, j, kind)
-    rows = _measured(problem, j, _Along(xs, V, Z, theta, problem.data(j).unpack(data), p), y)
-    return ca.Function(f"residual_{j}", [xs, V, Z, theta, data, p, y], [ca.vertcat(*[r for r, _ in rows])])
+    """residual(xs, V, Z, theta, data, p, y) -> r at the points of a first (j = 0) or later segment; with `_Along.jump` where it counts."""
+    xs, _, V, Z, theta, data, p, y, _, *jump = _segment_symbols(problem, j, kind)
+    rows = _measured(problem, j, _Along(xs, V, Z, theta, problem.data(j).unpack(data), p, *jump), y)
+    return ca.Function(f"residual_{j}", [xs, V, Z, theta, data, p, y, *jump], [ca.vertcat(*[r for r, _ in rows])])
 
 
-def _segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
-    """Function of (xs, RG, V, Z, theta, data, p, y, w) of a first (j = 0) or later segment.
+def segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
+    """Function of (xs, RG, V, Z, theta, data, p, y, w) of a first (j = 0) or later segment, with `_Along.jump` where it counts.
 
-    Returns (xs+, RG+, normal, sol, Z+, r, M, X, G): X the bounded states at the nodes, G their derivative by [1; s].
+    Returns (xs+, RG+, normal, sol, Z+, r, M, X, G): X the bounded states at the nodes, G their derivative by [1; s], or [1; s; noise], as
+    all derivatives here.
     """
     kind = ca.SX if problem.segment_is_small else kind
     arguments = _segment_symbols(problem, j, kind)
-    xs, RG, V, Z, theta, data, p, y, w = arguments
+    xs, RG, V, Z, theta, data, p, y, w, *jump = arguments
     known = problem.data(j).unpack(data)
     s, n = problem.segment, RG.shape[1]
-    at = _Along(xs, V, Z, theta, known, p)
+    at = _Along(xs, V, Z, theta, known, p, *jump)
     sol, Z_new = _condense(problem, kind, at, RG)
     normal, start = kind(ca.DM.zeros(n, n)), 0
     rows = _measured(problem, j, at, y, (RG, sol))
     for r, M in rows:
         normal = normal + groups.normal(M.shape[0], n)(r, M, w[start : start + M.shape[0]])
         start += M.shape[0]
-    if problem.count > 1:
-        Ph, Ps = s.at(np.array([s.length]))
-        xs_end, RG_end = _affine(kind, Ph, xs, Ps, V, known.forced_end), _sensitivity(kind, Ph, Ps, RG, sol)
+    if problem.has_ends:
+        end_time = np.array([s.length])
+        Ph, Ps = s.at(end_time)
+        xs_end = _affine(kind, Ph, xs, Ps, V, known.forced_end)
+        RG_end = _sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(end_time)))
     else:
         xs_end, RG_end = xs, RG
     X, G = kind(0, 1), kind(0, n)
     if problem.bounded:
         Ph, Ps = s.at(s.node_times[1:], list(problem.bounded))
-        X, G = _affine(kind, Ph, xs, Ps, V, known.forced_bounded), _sensitivity(kind, Ph, Ps, RG, sol)
+        X = _affine(kind, Ph, xs, Ps, V, known.forced_bounded)
+        G = _sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(s.node_times[1:], list(problem.bounded))))
     whole = ca.vertcat(*sol) if sol else kind(0, n)
     r, M = (ca.vertcat(*column) for column in zip(*rows, strict=True))
     results = [xs_end, RG_end, normal, whole, Z_new, r, M, X, G]
@@ -224,7 +247,7 @@ def _segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
 
 def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:
     kind = ca.SX if problem.segment_is_small else kind
-    n, m = 1 + problem.nx + problem.n_theta, problem.ny * len(problem.points_of(j))
+    n, m = 1 + problem.nx + problem.n_theta + problem.n_noise, problem.ny * len(problem.points_of(j))
     shapes = {
         "xs": (problem.nx, 1),
         "RG": (problem.nx, n),
@@ -236,6 +259,8 @@ def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:
         "y": (m, 1),
         "w": (m, 1),
     }
+    if problem.sees_jumps:
+        shapes["jump"] = (problem.n_theta, 1)
     return [kind.sym(name, *shape) for name, shape in shapes.items()]
 
 
@@ -247,7 +272,8 @@ def _condense(problem: LeastSquares, kind: Any, at: _Along, RG: Any) -> tuple[li
     PhQ, PsQ = s.at(s.node_times[1:], s.split.states)
     sizes = [s.order] if kind is ca.SX else tiles.sizes(s.order, max(1, tiles.TILE // rates.n))
     nq, nv, ne, nz = rates.n_states, rates.n, rates.n_known, rates.n_algebraic
-    collocated = {size: groups.collocated(rates, size, RG.shape[1]) for size in set(sizes)}
+    collocated = {size: groups.collocated(rates, size, RG.shape[1], problem.n_noise) for size in set(sizes)}
+    direct = problem.direct(s.held(s.node_times[1:], s.split.states))
     A: list[list[Any]] = []
     b: list[Any] = []
     z_new: list[Any] = []
@@ -260,6 +286,8 @@ def _condense(problem: LeastSquares, kind: Any, at: _Along, RG: Any) -> tuple[li
         q = slice(first * nq, (first + size) * nq)
         xq = _affine(kind, PhQ[q], at.xs, PsQ[q], at.V, rows(at.known.forced, size, nq))
         moved = ca.mtimes(kind(ca.DM(PhQ[q])), RG)
+        if direct is not None:
+            moved = moved + ca.DM(direct[q])
         known = rows(at.known.known, size, ne)
         arguments = [xq, known, at.p, at.theta, rows(at.Z, size, nz), rows(at.V, size, nv), moved]
         slope, right, z = collocated[size](*arguments)
@@ -287,24 +315,38 @@ def _measured(
     PhH, PsH = s.at(points, problem.output.states)
     nh, ne, nz = rest.n_states, rest.n_known, rest.n_algebraic
     z = ca.mtimes(kind(ca.DM(np.kron(s.from_nodes(points), np.eye(nz)))), at.Z) if nz else kind(0, 1)
+    held, held_output = (
+        problem.direct(problem.observed_noise(points)),
+        problem.direct(s.held(points, problem.output.states)),
+    )
     sizes = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
+    if at.jump is not None and m:
+        sizes = [*sizes[:-1], *([sizes[-1] - 1] if sizes[-1] > 1 else []), 1]
     observed = {size: groups.observed(rest, size) for size in set(sizes)} if rest.n else {}
     out, first = [], 0
     for size in sizes:
         rows, h = slice(first * ny, (first + size) * ny), slice(first * nh, (first + size) * nh)
         r = _affine(kind, CPh[rows], at.xs, CPs[rows], at.V, at.known.offset[rows]) - y[rows]
-        M = _sensitivity(kind, CPh[rows], CPs[rows], *by) if by else None
+        M = _sensitivity(kind, CPh[rows], CPs[rows], *by, None if held is None else held[rows]) if by else None
         if rest.n:
             xh = _affine(kind, PhH[h], at.xs, PsH[h], at.V, at.known.forced_output[h])
             eh = at.known.known_output[first * ne : (first + size) * ne]
             embed = ca.DM(np.kron(np.eye(size), problem.output.E))
-            value, slope, by_theta = observed[size](xh, eh, at.p, at.theta, z[first * nz : (first + size) * nz])
+            jumped = at.jump is not None and first + size == m
+            theta = at.theta + at.jump if jumped else at.theta
+            value, slope, by_theta = observed[size](xh, eh, at.p, theta, z[first * nz : (first + size) * nz])
             r = r + ca.mtimes(embed, value)
             if by:
-                moved = _sensitivity(kind, PhH[h], PsH[h], *by)
+                moved = _sensitivity(kind, PhH[h], PsH[h], *by, None if held_output is None else held_output[h])
                 M = M + ca.mtimes(embed, groups.chain(rest.n, nh, size, moved.shape[1])(slope, moved))
                 if problem.n_theta:
-                    M = M + ca.horzcat(kind(ca.DM.zeros(size * ny, 1 + problem.nx)), ca.mtimes(embed, by_theta))
+                    own = ca.mtimes(embed, by_theta)
+                    columns = [kind(ca.DM.zeros(size * ny, 1 + problem.nx)), own]
+                    if problem.n_noise:
+                        columns.append(kind(ca.DM.zeros(size * ny, len(problem.noisy_states))))
+                        jumps = own[:, list(problem.noisy_parameters)]
+                        columns.append(jumps if jumped else kind(ca.DM.zeros(*jumps.shape)))
+                    M = M + ca.horzcat(*columns)
         out.append((r, M))
         first += size
     return out
@@ -314,8 +356,10 @@ def _affine(kind: Any, Ph: np.ndarray, xs: Any, Ps: np.ndarray, V: Any, offset: 
     return ca.mtimes(kind(ca.DM(Ph)), xs) + ca.mtimes(kind(ca.DM(Ps)), V) + offset
 
 
-def _sensitivity(kind: Any, Ph: np.ndarray, Ps: np.ndarray, RG: Any, sol: list[Any]) -> Any:
-    """Ph RG + Ps sol: d x(points) / d [1; x0; theta]."""
+def _sensitivity(
+    kind: Any, Ph: np.ndarray, Ps: np.ndarray, RG: Any, sol: list[Any], direct: np.ndarray | None = None
+) -> Any:
+    """Ph RG + Ps sol + what the noise does directly: d x(points) / d [1; x0; theta; noise]."""
     total: Any = ca.mtimes(kind(ca.DM(Ph)), RG)
     column = 0
     for block in sol:
@@ -324,4 +368,4 @@ def _sensitivity(kind: Any, Ph: np.ndarray, Ps: np.ndarray, RG: Any, sol: list[A
             total, kind(ca.DM(Ps[:, column : column + n])), block
         )
         column += n
-    return total
+    return total if direct is None else total + ca.DM(direct)

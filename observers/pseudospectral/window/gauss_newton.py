@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from observers.numerics import linear, tiles
-from observers.pseudospectral.window import condense
+from observers.pseudospectral.window import condense, trajectory
 from observers.pseudospectral.window.problem import LeastSquares
 from observers.pseudospectral.window.quadratic_program import quadratic_program
 
@@ -65,7 +65,9 @@ class Solve:
         if problem.count > 1:
             sizes["active"] = problem.count
         if not self.aim:
-            sizes["at"] = problem.nx * (problem.nx + problem.n_rates)
+            sizes["at"] = trajectory.sample_rows(problem).numel_out()
+        if problem.n_noise:
+            sizes["noise_std"] = problem.count * problem.n_noise
         if self.arrival:
             sizes |= {"prior_mean": ns, "prior_information": ns * ns}
         if self.constraints.tube:
@@ -74,7 +76,7 @@ class Solve:
 
 
 def newton_step(solve: Solve) -> ca.Function:
-    """Function newton(V, Z, s, length, *given) -> (V+, Z+, s+, size, cost, conditioning, covariance, slack).
+    """Function newton(V, Z, s, noise, length, *given) -> (V+, Z+, s+, noise+, size, cost, conditioning, covariance, slack).
 
     The correction of V for its collocation residual is always whole; `length` is the part taken of the step in s, and of V's with it.
     `size` is |scaled step|^2 (NaN or infinite if the step failed), `cost` the samples' weighted sum of squares that the linearisation
@@ -84,20 +86,20 @@ def newton_step(solve: Solve) -> ca.Function:
     """
     problem = solve.problem
     kind = ca.MX if solve.constraints.any else problem.kind
-    V, Z, s, *_ = condense.symbols(problem, kind)
+    V, Z, s, noise, *_ = condense.symbols(problem, kind)
     g = {name: kind.sym(name, size) for name, size in solve.given.items()}
     whole = kind.sym("length")
     length: Any = whole
     at = condense.linearise(problem, V, Z, s, g)
     normal = at.normal
     if solve.arrival:
-        normal = normal + _prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
+        normal = normal + prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
     if solve.aim:
         normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
-    step, conditioning, cost, inverse = _free(tuple(problem.scale))(normal, g["lam"])
+    step, conditioning, cost, inverse = free_step(tuple(problem.scale))(normal, g["lam"])
     covariance = kind(0, 1) if solve.aim else _covariance(tuple(problem.scale))(inverse, at.reached[:, 1:])
     if solve.arrival:
-        conditioning = _conditioning(tuple(problem.scale))(at.normal, g["lam"])
+        conditioning = conditioning_of(tuple(problem.scale))(at.normal, g["lam"])
     slack: Any = 0
     if solve.constraints.any:
         # A linear objective goes to and fro between two corners where the edge between them is curved: then the step is kept short.
@@ -107,7 +109,7 @@ def newton_step(solve: Solve) -> ca.Function:
         length = 1 if solve.aim else length
     if not solve.aim and (solve.arrival or solve.constraints.any):
         # The samples' alone, at the step that is taken.
-        cost = ca.fmax(_square(len(problem.scale) + 1)(at.normal, ca.vertcat(1, step)), 0)
+        cost = ca.fmax(square(len(problem.scale) + 1)(at.normal, ca.vertcat(1, step)), 0)
     full = ca.vertcat(1, length * step)
     dV = (
         ca.vertcat(*[tiles.product(block.shape[0], full.shape[0])(block, full) for block in at.sol])
@@ -116,11 +118,11 @@ def newton_step(solve: Solve) -> ca.Function:
     )
     weights = np.tile(1 / problem.rate_scale, problem.segment.order * problem.count) if problem.n_rates else np.zeros(0)
     size = ca.sumsqr(step / problem.scale) + (ca.sumsqr(dV * weights) if problem.n_rates else 0)
-    results = [V + dV, at.Z, s + length * step, size, cost, conditioning, covariance, slack]
-    return ca.Function("newton", [V, Z, s, whole, *g.values()], results)
+    results = [V + dV, at.Z, s + length * step, noise, size, cost, conditioning, covariance, slack]
+    return ca.Function("newton", [V, Z, s, noise, whole, *g.values()], results)
 
 
-def _prior(ns: int) -> ca.Function:
+def prior(ns: int) -> ca.Function:
     """|s + ds - mean|^2_information as a symmetric matrix in [1; ds]."""
     s, mean, information = ca.SX.sym("s", ns), ca.SX.sym("mean", ns), ca.SX.sym("information", ns * ns)
     P = ca.reshape(information, ns, ns)
@@ -129,7 +131,7 @@ def _prior(ns: int) -> ca.Function:
     return ca.Function("prior", [s, mean, information], [full])
 
 
-def _square(n: int) -> ca.Function:
+def square(n: int) -> ca.Function:
     """v' H v."""
     H, v = ca.SX.sym("H", n, n), ca.SX.sym("v", n)
     return ca.Function("square", [H, v], [ca.dot(v, ca.mtimes(H, v))])
@@ -144,7 +146,7 @@ def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
     return ca.Function("aim", [M, w], [ca.densify(full)])
 
 
-def _free(scale: tuple[float, ...]) -> ca.Function:
+def free_step(scale: tuple[float, ...]) -> ca.Function:
     """(step, conditioning, cost after the step, inverse in units of `scale`) from the matrix of squares and the regularisation."""
     ns = len(scale)
 
@@ -172,9 +174,9 @@ def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
     return of
 
 
-def _conditioning(scale: tuple[float, ...]) -> ca.Function:
-    """That of `_free` alone."""
-    reduced = _free(scale)
+def conditioning_of(scale: tuple[float, ...]) -> ca.Function:
+    """That of `free_step` alone."""
+    reduced = free_step(scale)
     full, lam = ca.SX.sym("full", len(scale) + 1, len(scale) + 1), ca.SX.sym("lam")
     return ca.Function("conditioning", [full, lam], [reduced(full, lam)[1]])
 

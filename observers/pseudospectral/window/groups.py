@@ -22,8 +22,8 @@ def tile(nv: int, nq: int, size: int, other: int, diagonal: bool) -> ca.Function
     return tiles.function(name, (size * nv, nq), (size * nq, other * nv))(body)
 
 
-def collocated(rates: Pointwise, size: int, n: int) -> ca.Function:
-    """phi_x stacked (size nv x nq), the right-hand side [phi - V, 0, phi_theta] + phi_x PhQ RG of `size` nodes, and z there."""
+def collocated(rates: Pointwise, size: int, n: int, n_noise: int = 0) -> ca.Function:
+    """phi_x stacked (size nv x nq), the right-hand side [phi - V, 0, phi_theta, 0] + phi_x PhQ RG of `size` nodes, and z there."""
     nq, ne, nv, nz = rates.n_states, rates.n_known, rates.n, rates.n_algebraic
     n_p, n_theta = rates.value.numel_in(2), rates.value.numel_in(3)
 
@@ -34,7 +34,8 @@ def collocated(rates: Pointwise, size: int, n: int) -> ca.Function:
             at = [xq[q], e[j * ne : (j + 1) * ne], p, theta, z[j * nz : (j + 1) * nz]]
             value, slope, by_theta = rates.value(*at)
             slopes.append(slope)
-            own = ca.horzcat(value - V[j * nv : (j + 1) * nv], ca.SX(nv, n - 1 - n_theta), by_theta)
+            between = ca.SX(nv, n - 1 - n_theta - n_noise)
+            own = ca.horzcat(value - V[j * nv : (j + 1) * nv], between, by_theta, ca.SX(nv, n_noise))
             right.append(own + ca.mtimes(slope, moved[q, :]))
             algebraic.append(rates.solved(*at)[0])
         return ca.vertcat(*slopes), ca.vertcat(*right), ca.vertcat(*algebraic)

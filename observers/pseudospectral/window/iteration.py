@@ -8,7 +8,7 @@ import casadi as ca
 
 from observers.numerics import layout as lay
 from observers.numerics.finite import HUGE
-from observers.pseudospectral.window import gauss_newton
+from observers.pseudospectral.window import gauss_newton, process_noise
 from observers.pseudospectral.window.gauss_newton import Solve
 
 FIRST_STEPS = 3  # most samples need one or two: what comes later is jumped over as a whole
@@ -20,19 +20,20 @@ DAMPING = 0.5  # of later steps: where noise makes the residual's curvature turn
 
 
 def iterate(solve: Solve) -> ca.Function:
-    """Function solve(go, V, Z, s, tol, limit, *given) -> (V, Z, s, size, cost, conditioning, covariance, slack, iterations).
+    """Function solve(go, V, Z, s, noise, tol, limit, *given) -> (V, Z, s, noise, size, cost, conditioning, covariance, slack, iterations).
 
     Full Gauss-Newton steps, damped ones after WHOLE_STEPS. Iterates while the scaled step exceeds `tol`, stays finite, and fewer than
     `limit` steps are done; the last step is applied, so that an error of tol before it is one of about tol^2 after. A line search on a
     merit function solved fewer cold starts. Where an iterate leaves the domain of the model's functions, `rescued` starts again.
     """
-    newton = gauss_newton.newton_step(solve)
-    V, Z, s, _, *fixed = (ca.MX.sym(newton.name_in(i), newton.numel_in(i)) for i in range(newton.n_in()))
+    newton = (process_noise if solve.problem.n_noise else gauss_newton).newton_step(solve)
+    V, Z, s, noise, _, *fixed = (ca.MX.sym(newton.name_in(i), newton.numel_in(i)) for i in range(newton.n_in()))
     whole_steps = WHOLE_STEPS_AIMED if solve.aim else WHOLE_STEPS
     go, tolerance, limit = ca.MX.sym("go"), ca.MX.sym("tolerance"), ca.MX.sym("limit")
     results = dict.fromkeys(("size", "cost", "conditioning", "covariance", "slack", "iterations"), 1)
-    results["covariance"] = newton.numel_out(6)
-    state = lay.Layout(V=V.numel(), Z=Z.numel(), s=s.numel(), **results)
+    results["covariance"] = newton.numel_out(7)
+    trajectory = {"V": V, "Z": Z, "s": s, "noise": noise}
+    state = lay.Layout(**{name: part.numel() for name, part in trajectory.items()}, **results)
     now = ca.MX.sym("now", state.total)
     stay = ca.Function("stay", [now, *fixed], [now])
 
@@ -41,7 +42,7 @@ def iterate(solve: Solve) -> ca.Function:
         length: Any = 1.0
         if damped:
             length = DAMPING ** (parts.iterations - whole_steps + 1) if solve.aim else DAMPING
-        values = newton(parts.V, parts.Z, parts.s, length, *fixed)
+        values = newton(parts.V, parts.Z, parts.s, parts.noise, length, *fixed)
         after = dict(zip(state.sizes, values, strict=False))
         after["iterations"] = parts.iterations + 1
         return ca.Function.if_else(f"maybe_{name}", ca.Function(name, [now, *fixed], [state.pack(after)]), stay)
@@ -64,12 +65,14 @@ def iterate(solve: Solve) -> ca.Function:
     tail = ca.Function("tail", [start, now, *fixed, tolerance, limit], [later])
     no_tail = ca.Function("no_tail", [start, now, *fixed, tolerance, limit], [now])
     nothing = {name: ca.DM.zeros(size) for name, size in results.items()}
-    first = state.pack({"V": V, "Z": Z, "s": s} | nothing | {"size": ca.if_else(go, HUGE / 2, 0)})
+    first = state.pack(trajectory | nothing | {"size": ca.if_else(go, HUGE / 2, 0)})
     value = chain(first, FIRST_STEPS, whole)
     done = state.unpack(value).size < tolerance**2  # false for NaN
     value = ca.Function.if_else("maybe_tail", no_tail, tail)(done, first, value, *fixed, tolerance, limit)
     part = state.unpack(value)
-    return ca.Function("solve", [go, V, Z, s, tolerance, limit, *fixed], [getattr(part, name) for name in state.sizes])
+    return ca.Function(
+        "solve", [go, *trajectory.values(), tolerance, limit, *fixed], [getattr(part, name) for name in state.sizes]
+    )
 
 
 def rescued(newton: ca.Function, state: lay.Layout) -> ca.Function:
@@ -78,16 +81,16 @@ def rescued(newton: ca.Function, state: lay.Layout) -> ca.Function:
     From `start` again, in steps of SHORTENED: an iterate at which the equations are not finite (a root, a logarithm of what it made
     negative) is taken back to the one before, from which the step is repeated at half its length, and after it doubled again.
     """
-    fixed = [ca.MX.sym(newton.name_in(i), newton.numel_in(i)) for i in range(4, newton.n_in())]
+    fixed = [ca.MX.sym(newton.name_in(i), newton.numel_in(i)) for i in range(5, newton.n_in())]
     tolerance, limit = ca.MX.sym("tolerance"), ca.MX.sym("limit")
-    point = lay.Layout(V=state.sizes["V"], Z=state.sizes["Z"], s=state.sizes["s"])
+    point = lay.Layout(**{name: state.sizes[name] for name in ("V", "Z", "s", "noise")})
     loop = lay.Layout(value=state.total, good=point.total, length=1, at_good=1)
     now = ca.MX.sym("now", loop.total)
     at = loop.unpack(now)
     parts = state.unpack(at.value)
-    values = dict(zip(state.sizes, newton(parts.V, parts.Z, parts.s, at.length, *fixed), strict=False))
+    values = dict(zip(state.sizes, newton(parts.V, parts.Z, parts.s, parts.noise, at.length, *fixed), strict=False))
     inside = values["size"] < HUGE  # false for NaN
-    here = ca.vertcat(parts.V, parts.Z, parts.s)
+    here = ca.vertcat(parts.V, parts.Z, parts.s, parts.noise)
     moved = ca.vertcat(*[ca.vec(values[name]) for name in point.sizes])
     backed = point.unpack(ca.if_else(inside, moved, at.good))
     after = {name: ca.if_else(inside, values[name], 0) for name in state.sizes if name in values}
@@ -108,7 +111,7 @@ def rescued(newton: ca.Function, state: lay.Layout) -> ca.Function:
     maybe = ca.Function.if_else("maybe_rescue_step", step, ca.Function("rescue_stay", [now, *fixed], [now]))
     start, value = ca.MX.sym("start", state.total), ca.MX.sym("value", state.total)
     first = state.unpack(start)
-    begun = ca.vertcat(first.V, first.Z, first.s)
+    begun = ca.vertcat(first.V, first.Z, first.s, first.noise)
     running = loop.pack(
         {
             "value": state.replace(start, size=HUGE / 2, iterations=state.unpack(value).iterations),

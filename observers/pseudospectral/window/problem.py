@@ -29,7 +29,8 @@ class LeastSquares:
 
     `points` are times [s] since a segment's start; the first is the start itself, which counts in the first segment only. `scale` (ns) are
     the nominal values of s = [x0; theta], `rate_scale` (nv) those of V, `output_scale` (ny) those of the outputs. `bounded` are the states
-    with bounds on the nodes.
+    with bounds on the nodes. `noisy_parameters` are the unknown parameters that jump by process noise at the segments' ends, which a last
+    measured point sees if `sees_jumps`; the segment's `noisy` states have some on their rates.
     """
 
     segment: Segment
@@ -44,6 +45,8 @@ class LeastSquares:
     n_parameters: int
     n_theta: int
     bounded: tuple[int, ...] = ()
+    noisy_parameters: tuple[int, ...] = ()
+    output_sees_theta: bool = False
 
     @property
     def nx(self) -> int:
@@ -71,6 +74,77 @@ class LeastSquares:
     def n_measured(self) -> int:
         """Number of measured points in the window."""
         return len(self.points) + (self.count - 1) * (len(self.points) - 1)
+
+    @property
+    def has_ends(self) -> bool:
+        """Whether what happens at a segment's end matters to the solve."""
+        return self.count > 1 or self.n_noise > 0
+
+    @property
+    def noisy_states(self) -> tuple[int, ...]:
+        return self.segment.noisy
+
+    @property
+    def n_noise(self) -> int:
+        """Length of a segment's noise: constants of the noisy states' rates, jumps of the noisy parameters."""
+        return len(self.noisy_states) + len(self.noisy_parameters)
+
+    @property
+    def sees_jumps(self) -> bool:
+        return bool(self.noisy_parameters) and self.output_sees_theta
+
+    def jumps(self, noise: Any, j: int) -> Any:
+        """By how much theta (nt) moves at the end of segment j; `noise` (count n_noise)."""
+        place, first = j * self.n_noise, len(self.noisy_states)
+        onto = np.eye(self.n_theta)[:, list(self.noisy_parameters)]
+        return ca.mtimes(type(noise)(ca.DM(onto)), noise[place + first : place + self.n_noise])
+
+    def thetas(self, theta: Any, noise: Any) -> list[Any]:
+        """The unknown parameters of each segment."""
+        found = [theta]
+        for j in range(self.count - 1):
+            found.append(found[-1] + self.jumps(noise, j) if self.noisy_parameters else theta)
+        return found
+
+    def driven(self, U: Any, noise: Any) -> Any:
+        """What drives the window's trajectory: its inputs, and the constants on the noisy states' rates, segment by segment."""
+        n = len(self.noisy_states)
+        if n == 0:
+            return U
+        return ca.vertcat(U, *[noise[j * self.n_noise : j * self.n_noise + n] for j in range(self.count)])
+
+    @property
+    def n_driven(self) -> int:
+        return self.inputs(self.count - 1).stop + self.count * len(self.noisy_states)
+
+    def noise_terms(self, j: int) -> np.ndarray:
+        """d data(j) / d the segment's noise: what the constants on the rates add to the forced responses."""
+        s, rest = self.segment, self.output_rest
+        nodes, points = s.node_times[1:], self.points_of(j)
+        there = {
+            "forced": s.held(nodes, s.split.states),
+            "offset": self.observed_noise(points),
+            "forced_output": s.held(points, self.output.states) if rest.n else np.zeros((0, len(self.noisy_states))),
+            "forced_bounded": s.held(nodes, list(self.bounded)),
+            "forced_end": s.held(np.array([s.length])),
+        }
+        rows = [
+            there[name] if name in there and size else np.zeros((size, len(self.noisy_states)))
+            for name, size in self.data(j).sizes.items()
+        ]
+        whole = np.vstack(rows)
+        return np.hstack([whole, np.zeros((len(whole), len(self.noisy_parameters)))])
+
+    def observed_noise(self, points: np.ndarray) -> np.ndarray:
+        """The same of the outputs' linear part at `points` (ny m x noisy)."""
+        return product(np.kron(np.eye(len(points)), self.output.A), self.segment.held(points))
+
+    def direct(self, response: np.ndarray) -> np.ndarray | None:
+        """A response (rows x noisy) as a derivative by [1; s; noise]; None of a problem without noise."""
+        if not self.n_noise:
+            return None
+        before = np.zeros((len(response), 1 + len(self.scale)))
+        return np.hstack([before, response, np.zeros((len(response), len(self.noisy_parameters)))])
 
     @property
     def segment_is_small(self) -> bool:
@@ -106,7 +180,7 @@ class LeastSquares:
             forced_output=rest.n_states * m,
             known_output=rest.n_known * m,
             forced_bounded=len(self.bounded) * N,
-            forced_end=self.nx if self.count > 1 else 0,
+            forced_end=self.nx if self.has_ends else 0,
         )
 
     @property
@@ -172,7 +246,7 @@ def _segment_terms(problem: LeastSquares, j: int) -> ca.Function:
             "forced_output": forced(points, problem.output.states),
             "known_output": terms(rest, seen, points),
             "forced_bounded": forced(nodes, list(problem.bounded)),
-            "forced_end": forced(np.array([s.length]) if problem.count > 1 else np.empty(0), everything),
+            "forced_end": forced(np.array([s.length]) if problem.has_ends else np.empty(0), everything),
         }
     )
     return ca.Function("segment_terms", [t, U, seen, p], [data])

@@ -1,6 +1,7 @@
 """A window's trajectory: where it starts from, how it moves on with the window, and what is read from it.
 
-It is held by V, the rates at the nodes, Z, the algebraic variables there, segment by segment, and the window's first state x0.
+It is held by V, the rates at the nodes, Z, the algebraic variables there, segment by segment, and the window's first state x0. U is what
+drives it, `LeastSquares.driven`: the window's inputs, and process noise on the rates where there is some.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ from observers.pseudospectral.window.problem import LeastSquares
 
 
 class Trajectory(NamedTuple):
-    """V, Z and s = [x0; theta] of a whole window: x0 its first state, theta the unknown parameters."""
+    """V, Z and s = [x0; theta] of a whole window: x0 its first state, theta the unknown parameters; and the segments' process noise
+    (none without), in units of its standard deviation. With noise on theta it is that of the first segment."""
 
     V: Any
     Z: Any
     s: Any
+    noise: Any
 
 
 def flat(problem: LeastSquares) -> ca.Function:
@@ -51,15 +54,18 @@ def shift(problem: LeastSquares, eq: Equations) -> ca.Function:
     """shift(V, Z, x0, U_old, x_last, x_now, z_now, theta, p, data, u, t) -> (V, Z, x0) of the window moved on by one sample.
 
     Inside the old window its polynomials are evaluated at the new nodes; beyond its end a Runge-Kutta chain from the last estimate runs
-    from node to node, and the last node is the prediction. `data` belongs to the new window; `u` is the input over the last interval.
+    from node to node, and the last node is the prediction. `data` and `theta` (with noise on theta: of all segments) belong to the new
+    window; `u` is the input over the last interval.
     """
     kind, s, count = problem.kind, problem.segment, problem.count
     V, x0, U = _symbols(problem, kind)
     Z = kind.sym("Z", count * problem.n_algebraic)
+    several = count if problem.noisy_parameters else 1
     x_last, x_now = kind.sym("x_last", problem.nx), kind.sym("x_now", problem.nx)
     z_now, u, t = kind.sym("z_now", problem.rates.n_algebraic), kind.sym("u", problem.nu), kind.sym("t")
-    theta, p = kind.sym("theta", problem.n_theta), kind.sym("p", problem.n_parameters)
+    theta, p = kind.sym("theta", problem.n_theta * several), kind.sym("p", problem.n_parameters)
     data = kind.sym("data", problem.n_data)
+    thetas = _each(problem, theta)
     first = _at(problem, kind, np.array([s.sample_time]))(
         x0, problem.chop(V, problem.n_rates)[0], _inputs(problem, U, 0)
     )
@@ -70,11 +76,11 @@ def shift(problem: LeastSquares, eq: Equations) -> ca.Function:
     middle = _shifted_into_next(problem) if count > 1 else None
     for j in range(count - 1):
         assert middle is not None
-        v, z = middle(*old[j], *old[j + 1], theta, p, known[j])
+        v, z = middle(*old[j], *old[j + 1], thetas[j], p, known[j])
         V_new.append(v)
         Z_new.append(z)
     last = _shifted_beyond(problem, eq)
-    v, z = last(*old[-1], x_last, x_now, z_now, theta, p, known[-1], u, t)
+    v, z = last(*old[-1], x_last, x_now, z_now, thetas[-1], p, known[-1], u, t)
     arguments = [V, Z, x0, U, x_last, x_now, z_now, theta, p, data, u, t]
     return ca.Function("shift", arguments, [ca.vertcat(*V_new, v), ca.vertcat(*Z_new, z), first])
 
@@ -189,11 +195,15 @@ def state_at(problem: LeastSquares) -> ca.Function:
 def sample_rows(problem: LeastSquares) -> ca.Function:
     """rows(place) -> [Ph, Ps] (nx x (nx + n_rates), stacked) with x = Ph xs + Ps V at the window's sample instant `place`, in its segment.
 
-    A sample between two segments is the end of the first.
+    A sample between two segments is the end of the first. With process noise the columns of `Segment.held` follow, and a last entry says
+    whether the place is a segment's end.
     """
     s, count, m = problem.segment, problem.count, problem.segment.samples
     place = ca.MX.sym("place")
-    tables = [np.hstack(s.at(np.array([i * s.sample_time]))).ravel(order="F") for i in range(m + 1)]
+    times = [np.array([i * s.sample_time]) for i in range(m + 1)]
+    tables = [np.hstack([*s.at(time), s.held(time)]).ravel(order="F") for time in times]
+    if problem.n_noise:
+        tables = [np.append(table, float(i == m)) for i, table in enumerate(tables)]
     at_end = ca.Function("rows_at_end", [place], [ca.DM(tables[m])])
     inside = place - m * ca.floor((place - 1) / m)  # 1 .. m; the window's start, 0, gives m
     chosen = ca.if_else(place > 0, inside, 0)
@@ -217,7 +227,7 @@ def node0(problem: LeastSquares) -> ca.Function:
     ]
     xs, v, z, u_all, theta, p = arguments
     t = ca.SX.sym("t")
-    u = ca.mtimes(ca.DM(np.kron(s.inputs_at(np.zeros(1)), np.eye(problem.nu))), u_all)
+    u = ca.mtimes(ca.DM(np.kron(s.inputs_at(np.zeros(1)), np.eye(problem.nu))), _known(problem, u_all))
     xq = xs[s.split.states] if s.split.states else ca.SX(0, 1)
     at = [xq, rates.known(t, u, p), p, theta, _algebraic(problem, ca.SX, np.zeros(1), z)]
     phi, regular = rates.value(*at)[0], _regularity(problem, xs, v, z, u_all, theta, p, t)
@@ -229,11 +239,13 @@ def node0(problem: LeastSquares) -> ca.Function:
     V, x0, U = _symbols(problem, ca.MX)
     Z, time = ca.MX.sym("Z", count * problem.n_algebraic), ca.MX.sym("t")
     active = ca.MX.sym("active", count)
-    theta, p = ca.MX.sym("theta", problem.n_theta), ca.MX.sym("p", problem.n_parameters)
+    several = count if problem.noisy_parameters else 1
+    theta, p = ca.MX.sym("theta", problem.n_theta * several), ca.MX.sym("p", problem.n_parameters)
+    thetas = _each(problem, theta)
     starts = segment_starts(problem)(V, x0, U)
     worst, least = ca.MX(0), ca.MX(np.inf)
     for j, (v, z) in enumerate(zip(*_chopped(problem, V, Z), strict=True)):
-        a, b = one(starts[:, j], v, z, _inputs(problem, U, j), theta, p, time + j * s.length)
+        a, b = one(starts[:, j], v, z, _inputs(problem, U, j), thetas[j], p, time + j * s.length)
         worst, least = ca.fmax(worst, ca.if_else(active[j], a, 0)), ca.fmin(least, ca.if_else(active[j], b, np.inf))
     return ca.Function("node0", [V, Z, x0, theta, p, time, U, active], [worst, least])
 
@@ -247,7 +259,7 @@ def _regularity(
         return ca.SX(np.inf)
     times = s.node_times
     xq = _at(problem, ca.SX, times, s.split.states)(xs, V, U)
-    u = ca.mtimes(ca.DM(np.kron(s.inputs_at(times), np.eye(nu))), U)
+    u = ca.mtimes(ca.DM(np.kron(s.inputs_at(times), np.eye(nu))), _known(problem, U))
     z = ca.vertcat(_algebraic(problem, ca.SX, times[:1], Z), Z)
     found = []
     for i, time in enumerate(times):
@@ -261,13 +273,18 @@ def _symbols(problem: LeastSquares, kind: Any) -> tuple[Any, Any, Any]:
     return (
         kind.sym("V", problem.count * problem.n_rates),
         kind.sym("x0", problem.nx),
-        kind.sym("U", problem.inputs(problem.count - 1).stop),
+        kind.sym("U", problem.n_driven),
     )
 
 
 def _segment_symbols(problem: LeastSquares, kind: Any) -> list[Any]:
     """xs, V, Z, U of one segment."""
-    sizes = {"xs": problem.nx, "V": problem.n_rates, "Z": problem.n_algebraic, "U": problem.inputs(0).stop}
+    sizes = {
+        "xs": problem.nx,
+        "V": problem.n_rates,
+        "Z": problem.n_algebraic,
+        "U": problem.inputs(0).stop + len(problem.noisy_states),
+    }
     return [kind.sym(name, size) for name, size in sizes.items()]
 
 
@@ -283,13 +300,29 @@ def _chopped(problem: LeastSquares, V: Any, Z: Any) -> tuple[list[Any], list[Any
 
 
 def _inputs(problem: LeastSquares, U: Any, j: int) -> Any:
-    return U[problem.inputs(j)] if problem.nu else type(U)(0, 1)
+    """What drives segment j: its inputs, and the noise on its rates."""
+    n, start = len(problem.noisy_states), problem.inputs(problem.count - 1).stop
+    own = U[problem.inputs(j)] if problem.nu else type(U)(0, 1)
+    return ca.vertcat(own, U[start + j * n : start + (j + 1) * n]) if n else own
+
+
+def _known(problem: LeastSquares, U: Any) -> Any:
+    """A segment's inputs alone."""
+    return U[: problem.inputs(0).stop] if problem.nu else type(U)(0, 1)
+
+
+def _each(problem: LeastSquares, theta: Any) -> list[Any]:
+    """The segments' unknown parameters from a column of all of them, or of the one that they share."""
+    nt = problem.n_theta
+    if not problem.noisy_parameters:
+        return [theta] * problem.count
+    return [theta[j * nt : (j + 1) * nt] for j in range(problem.count)]
 
 
 def _at(problem: LeastSquares, kind: Any, times: np.ndarray, states: list[int] | None = None) -> Any:
     """A function of (xs, V, U) of a segment: the states at `times` since its start, stacked."""
     Ph, Ps = problem.segment.at(times, states)
-    Xi = problem.segment.forced(times, states)
+    Xi = np.hstack([problem.segment.forced(times, states), problem.segment.held(times, states)])
 
     def evaluate(xs: Any, V: Any, U: Any) -> Any:
         total = ca.mtimes(kind(ca.DM(Ph)), xs) + ca.mtimes(kind(ca.DM(Ps)), V)

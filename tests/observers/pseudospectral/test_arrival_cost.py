@@ -96,31 +96,6 @@ def test_on_a_linear_model_the_estimate_is_the_kalman_filters_from_the_first_sam
     assert run.get("diagnostics.solver_failures") == 0
 
 
-@pytest.mark.parametrize(("L", "segments"), [(4, 1), (4, 2)])
-def test_process_noise_counts_up_to_the_windows_start(L, segments):
-    """The filter's covariance grows with it as the window moves on; within the window the model is exact."""
-    y, u, valid = record(40, 0.2)
-    std = {"x1": 0.2, "x2": 0.5, "x3": 0.1}
-    run = Instance(observer(L, 10, segments, process_noise=std))
-    model = sampled(TS)
-    Q = np.diag([std[name] ** 2 for name in ("x1", "x2", "x3")]) * TS
-    P0 = np.diag([STD[name] ** 2 for name in ("x1", "x2", "x3")])
-    behind = Filter(model, np.zeros(3), P0, Q)  # before the sample at the window's start
-    for k in range(40):
-        told(run, y[k], u[k], valid[k], k)
-        first = max(k - L, 0)
-        within = Filter(model, behind.x, behind.P)
-        for i in range(first, k + 1):
-            within.correct(y[i], u[i], valid[i])
-            if i < k:
-                within.predict(u[i], u[i + 1])
-        if valid[k].any():
-            np.testing.assert_allclose([run.get(f"filtered.x{i}") for i in (1, 2, 3)], within.x, atol=1e-8)
-        if k >= L:
-            behind.correct(y[first], u[first], valid[first])
-            behind.predict(u[first], u[first + 1])
-
-
 def noisy_duffing(noise, samples, seed):
     p = Instance(plant(DUFFING), {"sensor.noise_bound": noise, "sensor.sample_time": TS, "sensor.seed": seed})
     y, x = [], []
@@ -248,10 +223,9 @@ def test_it_goes_with_a_tube():
     assert rms[True, True] < 0.6 * rms[False, False] and rms[True, True] < 1.1 * min(rms.values()), rms
 
 
-@pytest.mark.parametrize("which", ["process_noise", "initial_std"])
-def test_deviations_without_an_arrival_cost_are_refused(which):
-    with pytest.raises(ModelError, match=rf"{which} belongs to an arrival cost: give arrival_cost=True"):
-        pseudospectral(DUFFING, sample_time=TS, **{which: {"x1": 1.0}})
+def test_a_deviation_of_the_guess_without_an_arrival_cost_is_refused():
+    with pytest.raises(ModelError, match="initial_std belongs to an arrival cost: give arrival_cost=True"):
+        pseudospectral(DUFFING, sample_time=TS, initial_std={"x1": 1.0})
 
 
 @pytest.mark.parametrize(
@@ -272,7 +246,9 @@ def test_deviations_of_something_else_or_out_of_range_are_refused_by_name(deviat
 
 
 def test_the_spline_cost_has_none():
-    with pytest.raises(ValueError, match="the spline cost goes with one segment, without noise bound or arrival cost"):
+    with pytest.raises(
+        ValueError, match="the spline cost goes with one segment, without noise bound, arrival cost or process noise"
+    ):
         pseudospectral(DUFFING, sample_time=TS, cost="spline", arrival_cost=True)
 
 
