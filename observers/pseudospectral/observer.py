@@ -74,7 +74,8 @@ def pseudospectral(
             first state; on a linear model with one segment a sample the estimate is then the Kalman filter's.
         process_noise: start values of `tuning.process_noise.<state, unknown parameter or unknown disturbance>`, intensities in the
             variable's unit per sqrt(s), so that its variance grows by their square per second; 0 if absent, the nominal value for an
-            unknown disturbance. What is given more than 0 acts inside the window, constant over each segment.
+            unknown disturbance. What is given more than 0 acts inside the window, constant over each segment (with a noise bound: in
+            the arrival cost only).
         measurement_noise, initial_std: start values of `tuning.measurement_noise.<output>` (standard deviation of a sample; with an arrival
             cost or process noise 0.1 of the nominal value if absent) and, with an arrival cost, `tuning.initial_std.<...>` (that of the
             guess, the nominal value if absent).
@@ -86,12 +87,12 @@ def pseudospectral(
 
     Raises:
         ModelError: a state or unknown parameter that no output can ever see, algebraic variables that do not act on the states or have
-            bounds, a noise bound of something that is no output or beside process noise.
+            bounds, a noise bound of something that is no output, or one beside process noise without an arrival cost.
         ValueError: N, L, segments or sample_time out of range, a window with fewer measurements than unknowns; an unknown cost, or one
             that does not go with segments or a noise bound.
     """
     model, process_noise = disturbances.wandering(model, process_noise)
-    noisy = structure.noisy(model, process_noise, noise_bound is not None)
+    noisy = structure.noisy(model, process_noise, noise_bound is not None, arrival_cost)
     more = noise_bound is not None or arrival_cost or any(noisy)
     structure.check(model, sample_time, N, L, segments, cost, more)
     tuning = (*TUNING, REGULARITY_LIMIT) if model.algebraic else TUNING

@@ -57,21 +57,23 @@ def check(model: Model, sample_time: float, N: int, L: int, segments: int, cost:
 
 
 def noisy(
-    model: Model, process_noise: Mapping[str, float] | None, tube: bool
+    model: Model, process_noise: Mapping[str, float] | None, tube: bool, arrival: bool
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Which states and which unknown parameters have process noise inside the window: those to which more than 0 is given.
 
+    None beside a tube, which Problem 3 derives from a model that is exact over the window: there it acts in the arrival cost.
+
     Raises:
-        ModelError: there is some, and a noise bound.
+        ModelError: a tube, and no arrival cost for the noise to act in.
     """
-    given = process_noise or {}
-    groups = (model.states, model.unknown_parameters)
-    states, parameters = (tuple(i for i, v in enumerate(group) if given.get(v.name, 0.0) > 0) for group in groups)
-    if tube and (states or parameters):
-        names = ", ".join(v.name for group in groups for v in group if given.get(v.name, 0.0) > 0)
+    given = {name: value for name, value in (process_noise or {}).items() if value > 0}
+    if tube and given and not arrival:
         raise ModelError(
-            f"pseudospectral: noise_bound takes the model to be exact, but process_noise of {names} says that it is not: give one of them"
+            f"pseudospectral: with noise_bound the model is exact inside the window, so process_noise of {', '.join(given)} acts in the "
+            "arrival cost alone: give arrival_cost=True"
         )
+    groups = (model.states, model.unknown_parameters)
+    states, parameters = (tuple(i for i, v in enumerate(group) if v.name in given and not tube) for group in groups)
     return states, parameters
 
 

@@ -363,7 +363,7 @@ def test_an_unknown_disturbance_is_followed_and_says_how_sure_it_is():
 @pytest.mark.parametrize(
     ("more", "named"),
     [
-        ({"noise_bound": 1.0, "process_noise": {"x1": 0.1}}, "noise_bound .*process_noise of x1"),
+        ({"noise_bound": 1.0, "process_noise": {"x1": 0.1}}, "noise_bound .*process_noise of x1 .*arrival_cost"),
         ({"cost": "spline", "process_noise": {"x1": 0.1}}, "spline cost .*process noise"),
         ({"process_noise": {"nothing": 0.1}}, "process_noise of 'nothing'"),
     ],
