@@ -85,7 +85,7 @@ def problem(
     segments: int,
     sample_time: float,
     cost: str,
-    noisy: tuple[tuple[int, ...], tuple[int, ...]],
+    noisy: tuple[tuple[int, ...], tuple[int, ...]] = ((), ()),
 ) -> LeastSquares:
     """Problem 2's data: where the outputs are compared, and in which units steps are measured."""
     parts, output = (_with_algebraic(split(f, eq.x, eq.u), eq) for f in (eq.ode, eq.output))

@@ -18,6 +18,7 @@ from observers.pseudospectral.window.problem import LeastSquares, known_terms
 
 TS, L, N, T0 = 0.1, 8, 11, 2.7
 P, THETA = 1.3, 0.4
+NO_NOISE = np.zeros(0)
 START = np.array([0.7, -0.2, 0.5])
 
 
@@ -168,9 +169,13 @@ def test_outputs_and_states_at_the_samples_are_those_of_the_trajectory(case: Cas
     V, Z = case.held(S)
     x = case.states(samples(), S)
     y = np.ravel([case.output(t, row) for t, row in zip(samples(), x, strict=True)])
-    shown = condense.output_residual(case.problem)(V, Z, S, case.data(), P, np.zeros(len(y))).full().ravel()
+    shown = condense.output_residual(case.problem)(V, Z, S, NO_NOISE, case.data(), P, np.zeros(len(y))).full().ravel()
     np.testing.assert_allclose(shown, y, rtol=0, atol=4e-12)
-    less = condense.output_residual(case.problem)(V, Z, S, case.data(), P, np.arange(float(len(y)))).full().ravel()
+    less = (
+        condense.output_residual(case.problem)(V, Z, S, NO_NOISE, case.data(), P, np.arange(float(len(y))))
+        .full()
+        .ravel()
+    )
     np.testing.assert_allclose(less, shown - np.arange(len(y)), rtol=0, atol=1e-13)
     at = trajectory.state_at(case.problem)
     for place in range(L + 1):
@@ -254,7 +259,7 @@ def test_a_segment_that_is_not_active_weighs_nothing_and_stays(case: Case) -> No
 @along
 def test_the_first_samples_state_has_its_derivative(case: Case) -> None:
     V, Z = case.held(S)
-    x, by_s = condense.first_sample(case.problem)(V, Z, S, case.data(), P, case.U)
+    x, by_s = condense.first_sample(case.problem)(V, Z, S, NO_NOISE, case.data(), P, case.U)
     np.testing.assert_allclose(x.full().ravel(), case.states(np.array([TS]), S)[0], rtol=0, atol=4e-12)
     h = 1e-4
     expected = np.column_stack(
