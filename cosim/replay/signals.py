@@ -13,6 +13,7 @@ from cosim.fmu import Value, unit_of
 from cosim.replay import cells, units
 from cosim.replay.cells import Converter
 from cosim.replay.log import Column, Log, Rows
+from cosim.system.units import fmu_units
 
 TIME = "time"
 VALID = "measurement_valid."  # an input of this prefix says whether the measurement of that name counts; it starts at 1
@@ -122,10 +123,9 @@ def times(log: Log, column: Column | None, rows: Rows, sample_time: float | None
     if column.unit in units.NONE or column.unit == "s":
         return found
     given = units.parse(column.unit)
-    turn = given and units.conversion(given, units.SECOND)
-    if turn is None:
+    if given is None or given.exponents != units.SECOND.exponents:
         raise ExperimentError(f"{log.path}: the unit '{column.unit}' of the column '{column.head}' is none of time")
-    return turn(found)
+    return units.converted(found, given, units.SECOND)
 
 
 def signals(
@@ -188,14 +188,16 @@ def _converted(
             f"{log.path}: the unit '{column.unit}' of the column '{column.head}' is unknown; without it the numbers are taken as "
             f"they are, in {wanted}"
         )
-    target = units.of_fmu(description, wanted) or units.parse(wanted)
-    turn = target and units.conversion(given, target)
-    if turn is None:
+    target = fmu_units(description).get(wanted) or units.parse(wanted)
+    try:
+        if target is None:
+            raise ValueError
+        return units.converted(values, given, target)
+    except ValueError:
         raise ExperimentError(
             f"{log.path}: the column '{column.head}' is in {column.unit}, which cannot become {wanted}, the unit of the input "
             f"'{name}'"
-        )
-    return turn(values)
+        ) from None
 
 
 def _held(log: Log, column: Column, name: str, values: np.ndarray, empty: np.ndarray) -> np.ndarray:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from fmpy.model_description import ModelDescription
 
-BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+from cosim.system.units import EXPONENTS, Unit, conversion
+
 NONE = ("", "-", "1")  # how a head says that a number has no unit
 
 _BRACKETS = re.compile(r"(?P<name>.*\S)\s*\[\s*(?P<unit>[^\[\]]*?)\s*\]\Z", re.S)
@@ -20,21 +19,19 @@ _FACTOR = r"(?:1|[^\W\d_]{1,20}|[°%µμΩ][^\W\d_]{0,20})(?:(?:\^|\*\*)?[+-]?[1
 _EXPRESSION = re.compile(rf"\(?(?:{_FACTOR})(?:[.*·/ ]\(?(?:{_FACTOR})\)?)*\)?\Z")
 _EXPONENT = re.compile(r"(?<=[^\W\d_])(?:\^|\*\*)?([+-]?[1-9])")
 _ALIASES = {"Ohm": "ohm", "rev": "turn", "Nm": "N*m", "percent": "%", "sec": "s", "ºC": "degC"}
-_PINT_BASE = dict(
-    zip(("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "radian"), BASE, strict=True)
-)
+_PINT_BASE = (
+    "kilogram",
+    "meter",
+    "second",
+    "ampere",
+    "kelvin",
+    "mole",
+    "candela",
+    "radian",
+)  # in the order of EXPONENTS
 
-
-class Unit(NamedTuple):
-    """SI value = factor * value + offset, in the product of the base units to `exponents`, in the order of BASE."""
-
-    exponents: tuple[float, ...]
-    factor: float = 1.0
-    offset: float = 0.0
-
-
-DIMENSIONLESS = Unit((0.0,) * len(BASE))
-SECOND = Unit(tuple(float(base == "s") for base in BASE))
+DIMENSIONLESS = Unit("1", (0,) * len(EXPONENTS))
+SECOND = Unit("s", tuple(int(base == "s") for base in EXPONENTS))
 
 
 def split(header: str) -> tuple[str, str]:
@@ -63,12 +60,12 @@ def parse(text: str) -> Unit | None:
         origin, far = (registry.Quantity(value, unit).to_base_units() for value in (0.0, 2.0**30))
     except Exception:  # pint has no class of errors for what is no unit: of the tokeniser, of its own, of Python
         return None
-    exponents = {_PINT_BASE.get(name): float(power) for name, power in origin.unit_items()}
-    if None in exponents:  # bits, counts
+    exponents = {name: float(power) for name, power in origin.unit_items()}
+    if exponents.keys() - set(_PINT_BASE) or any(power % 1 for power in exponents.values()):  # bits, counts; roots
         return None
     # From afar, so that the offset of a temperature costs the factor no digits.
     factor = float(f"{(far.magnitude - origin.magnitude) / 2.0**30:.15g}")
-    return Unit(tuple(exponents.get(base, 0.0) for base in BASE), factor, float(origin.magnitude))
+    return Unit(text, tuple(int(exponents.get(name, 0)) for name in _PINT_BASE), factor, float(origin.magnitude))
 
 
 def expression(text: str) -> str:
@@ -97,22 +94,14 @@ def _registry() -> Any:
     return pint.UnitRegistry(cache_folder=None, autoconvert_offset_to_baseunit=False)
 
 
-def of_fmu(description: ModelDescription, name: str) -> Unit | None:
-    """The unit called `name` as the FMU defines it; None where it does not say what that is in SI units."""
-    for unit in description.unitDefinitions or ():
-        if unit.name == name and unit.baseUnit is not None:
-            base = unit.baseUnit
-            exponents = tuple(float(getattr(base, symbol) or 0) for symbol in BASE)
-            return Unit(exponents, float(base.factor or 1.0), float(base.offset or 0.0))
-    return None
+def converted(values: np.ndarray, given: Unit, wanted: Unit) -> np.ndarray:
+    """`values` of a unit in another one.
 
-
-def conversion(given: Unit, wanted: Unit) -> Callable[[np.ndarray], np.ndarray] | None:
-    """What turns numbers of `given` into those of `wanted`; None where they measure different things."""
-    if given.exponents != wanted.exponents:
-        return None
-    scale, shift = given.factor / wanted.factor, (given.offset - wanted.offset) / wanted.factor
-    if 0 < scale < 1 and abs(1 / scale - round(1 / scale)) < 1e-12 / scale:
-        divisor = round(1 / scale)  # 3850.802 mV is then the number nearest to 3.850802 V
-        return lambda values: values / divisor + shift
-    return lambda values: values * scale + shift
+    Raises:
+        ValueError: they measure different things.
+    """
+    linear = conversion(given, wanted)
+    divisor = 1 / linear.factor
+    if abs(divisor) > 1 and abs(divisor - round(divisor)) < 1e-12 * abs(divisor):
+        return values / round(divisor) + linear.offset  # 3850.802 mV is then the number nearest to 3.850802 V
+    return values * linear.factor + linear.offset
