@@ -32,6 +32,7 @@ bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python -m benchmarks.windows
 	$(BIN)/python -m benchmarks.linear_gain
 	$(BIN)/python -m benchmarks.elementary
+	$(BIN)/python -m benchmarks.compliance
 
 trust: setup ## print how often observers are wrong, and how often silently, under twenty corruptions of the measurements
 	$(BIN)/python -m benchmarks.trust

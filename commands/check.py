@@ -18,12 +18,17 @@ _OUTPUT = Console(soft_wrap=True, highlight=False)
 
 
 def check(
-    fmus: Annotated[list[Path], typer.Argument(help="FMUs of FMI 2.0.", metavar="FILE.fmu ...", show_default=False)],
+    fmus: Annotated[
+        list[Path],
+        typer.Argument(
+            help="FMUs of FMI 2.0; of 3.0 the file alone is checked.", metavar="FILE.fmu ...", show_default=False
+        ),
+    ],
     junit: Annotated[Path | None, typer.Option(help="Also write the result to this file, as JUnit XML.")] = None,
 ) -> None:
     """Check FMUs against the FMI 2.0 standard: the file, and what its library does when it is driven.
 
-    One line for each finding. Exit code 0: none; 1: some; 2: a file could not be checked.
+    One line for each rule and cause. Exit code 0: no finding; 1: some; 2: a file could not be checked.
 
     \b
     Example:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+from fmu_src.compliance.files import fmi3
 from fmu_src.compliance.files.binaries import check_binaries, host_library
-from fmu_src.compliance.files.description import Description, read
+from fmu_src.compliance.files.description import Description, read, schema
 from fmu_src.compliance.files.names import check_names
 from fmu_src.compliance.files.package import Package, check_archive, open_package, unpack
 from fmu_src.compliance.files.structure import check_document, check_fmpy, check_schema, check_structure
@@ -18,7 +20,7 @@ from fmu_src.compliance.library.calls import Subject
 from fmu_src.compliance.library.dynamic import check_dynamic
 from fmu_src.compliance.library.ls_ref import MANIFEST, Experiment, check_manifest, experiment_files, read_experiments
 from fmu_src.compliance.library.process import Case, prepare, run
-from fmu_src.compliance.rules import STATIC, finding
+from fmu_src.compliance.rules import RULES, STATIC, finding
 
 _ARCHIVE = ("zip-sound", "zip-method", "zip-path", "zip-link", "xml-schema")
 _UNUSABLE = ("binary-format", "exports", "undefined-symbols")  # not needed-libraries: here they may well be
@@ -43,6 +45,8 @@ def check(fmu: Path, progress: Callable[[str], None] = lambda rule: None) -> Rep
         text = str(error)
         raise CannotCheck(text if text.startswith(str(fmu)) else f"{fmu}: cannot be checked: {text}") from None
     report.findings = by_cause(report.findings)
+    if package.version == "3.0":
+        report.findings = [replace(found, section=RULES[found.rule].section3) for found in report.findings]
     return report
 
 
@@ -50,32 +54,46 @@ def _check_package(package: Package, report: Report, progress: Callable[[str], N
     report.checked += _ARCHIVE
     report.findings += check_archive(package)
     archive_is_sound = not report.findings
-    report.findings += check_schema(package.root)
+    is_fmi3 = package.version == "3.0"
+    report.findings += check_schema(package.root, fmi3.schema() if is_fmi3 else schema())
     if any(found.rule == "xml-schema" for found in report.findings):
         report.notes.append("modelDescription.xml is not valid, so no further rule was applied")
         return
     progress("static")
     prepare()
-    description = read(package.root)
-    report.checked += [rule for rule in STATIC if rule not in _ARCHIVE + _LAYERED]
+    skipped = _ARCHIVE + _LAYERED
+    report.checked += [name for name, rule in STATIC.items() if name not in skipped and (rule.section3 or not is_fmi3)]
+    description = fmi3.read(package.root) if is_fmi3 else read(package.root)
+    names = fmi3.names(package.root) if is_fmi3 else [variable.name for variable in description.variables]
     report.findings += check_document(description)
-    report.findings += check_names(description.convention, [variable.name for variable in description.variables])
-    report.findings += check_variables(package.root, description)
-    report.findings += check_structure(package.root, description)
-    report.findings += check_fmpy(package, already_found=bool(report.findings))
+    report.findings += check_names(description.convention, names)
+    if is_fmi3:
+        report.findings += fmi3.check_definitions(package.root)
+        report.findings += fmi3.check_ranges(package.root, description)
+        report.findings += fmi3.check_structure(package.root, description)
+    else:
+        report.findings += check_variables(package.root, description)
+        report.findings += check_structure(package.root, description)
+    if archive_is_sound and is_fmi3:
+        report.findings += fmi3.check_documents(package)
+    if not any(found.rule == "xml-schema" for found in report.findings):
+        report.findings += check_fmpy(package, set(names), already_found=bool(report.findings))
     if not archive_is_sound:
         report.notes.append("the archive is not sound, so the FMU was not unpacked")
         return
     with tempfile.TemporaryDirectory(prefix="compliance-", ignore_cleanup_errors=True) as folder:
         directory = Path(folder).resolve() / "fmu"
         unpack(package, directory)
-        _check_unpacked(directory, description, report, progress)
+        # In a process of its own: a damaged library may lead its reader a long way.
+        case = Case("binary-format", "binaries", check_binaries, (directory, description), "libraries", drives=False)
+        report.findings += run(case).findings
+        if is_fmi3:
+            report.notes.append("of FMI 3.0: the file was checked, the library was not driven")
+        else:
+            _check_library(directory, description, report, progress)
 
 
-def _check_unpacked(directory: Path, description: Description, report: Report, progress: Callable[[str], None]) -> None:
-    # In a process of its own: a damaged library may lead its reader a long way.
-    case = Case("binary-format", "binaries", check_binaries, (directory, description), "libraries", drives=False)
-    report.findings += run(case).findings
+def _check_library(directory: Path, description: Description, report: Report, progress: Callable[[str], None]) -> None:
     if (directory / MANIFEST).is_file():
         report.checked += _LAYERED
         report.findings += check_manifest(directory)

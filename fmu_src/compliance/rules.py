@@ -9,52 +9,58 @@ from fmu_src.compliance.finding import Finding, one_line
 
 @dataclass(frozen=True)
 class Rule:
-    """`section`: of FMI 2.0.4, or of FMI-LS-REF 1.0.0-alpha.1 where it says so. `demand`: what holds for a sound FMU."""
+    """`section`: of FMI 2.0.4, or of FMI-LS-REF 1.0.0-alpha.1 where it says so. `demand`: what holds for a sound FMU.
+
+    `section3`: of FMI 3.0; empty for a rule that is not applied to it.
+    """
 
     section: str
     demand: str
+    section3: str = ""
 
 
 STATIC = {
-    "zip-sound": Rule("2.3", "every file in the archive is intact"),
-    "zip-method": Rule("2.3", "files are deflated or stored, no other method"),
-    "zip-path": Rule("2.3", "paths are relative, with forward slashes, without . and .., each there once"),
-    "zip-link": Rule("2.3", "what is in the archive is files and folders, no links"),
-    "xml-schema": Rule("2.2", "modelDescription.xml is valid against FMI's schema"),
-    "fmpy-validation": Rule("2.2", "what fmpy validates: units, start values, causalities, completeness"),
-    "variable-name": Rule("2.2.9", "names keep to the naming convention, and no name has a control character"),
-    "name-branch": Rule("2.2.9", "structured: no variable has the name of a branch (x beside x.y)"),
-    "guid": Rule("2.2.1", "the guid is not empty"),
-    "model-identifier": Rule("4.3.1", "the modelIdentifier is a C identifier"),
-    "state-flags": Rule("4.3.1", "canSerializeFMUstate needs canGetAndSetFMUstate"),
+    "zip-sound": Rule("2.3", "every file in the archive is intact", "2.5"),
+    "zip-method": Rule("2.3", "files are deflated or stored, no other method", "2.5"),
+    "zip-path": Rule("2.3", "paths are relative, with forward slashes, without . and .., each there once", "2.5"),
+    "zip-link": Rule("2.3", "what is in the archive is files and folders, no links", "2.5"),
+    "xml-schema": Rule("2.2", "modelDescription.xml is valid against FMI's schema", "2.4"),
+    "fmpy-validation": Rule("2.2", "what fmpy validates: units, start values, causalities, completeness", "2.4"),
+    "variable-name": Rule("2.2.9", "names keep to the naming convention, and no name has a control character", "2.4"),
+    "name-branch": Rule("2.2.9", "structured: no variable has the name of a branch (x beside x.y)", "2.4"),
+    "guid": Rule("2.2.1", "the guid (FMI 3.0: the instantiationToken) is not empty", "2.4"),
+    "model-identifier": Rule("4.3.1", "the modelIdentifier is a C identifier", "2.4"),
+    "state-flags": Rule("4.3.1", "canSerializeFMUstate needs canGetAndSetFMUstate", "2.4"),
     "default-experiment": Rule(
-        "2.2.5", "numbers are finite, stop time not before start time, step size and tolerance positive"
+        "2.2.5", "numbers are finite, stop time not before start time, step size and tolerance positive", "2.4"
     ),
-    "log-category": Rule("2.2.4", "log categories have different names"),
-    "unit-name": Rule("2.2.2", "units have different names"),
-    "type-name": Rule("2.2.3", "types have different names, and none a variable's"),
-    "declared-type": Rule("2.2.7", "a declaredType is of the variable's base type"),
-    "enumeration-items": Rule("2.2.3", "the items of an enumeration have different names and values"),
+    "log-category": Rule("2.2.4", "log categories have different names", "2.4"),
+    "unit-name": Rule("2.2.2", "units have different names", "2.4"),
+    "type-name": Rule("2.2.3", "types have different names, and none a variable's", "2.4"),
+    "declared-type": Rule("2.2.7", "a declaredType is of the variable's base type", "2.4"),
+    "enumeration-items": Rule("2.2.3", "the items of an enumeration have different names and values", "2.4"),
     "enumeration-start": Rule("2.2.7", "an enumeration starts at the value of one of its items"),
-    "min-max": Rule("2.2.7", "min is not above max"),
-    "start-range": Rule("2.2.7", "the start value lies in [min, max]"),
+    "min-max": Rule("2.2.7", "min is not above max", "2.4"),
+    "start-range": Rule("2.2.7", "the start value lies in [min, max]", "2.4"),
     "alias-settable": Rule("2.2.7", "of variables with one value reference at most one can be set"),
     "alias-constant": Rule("2.2.7", "a constant shares its value reference with equal constants only"),
     "alias-unit": Rule("2.2.7", "variables with one value reference have the same unit"),
     "independent": Rule("2.2.7", "there is at most one independent variable, a Real"),
-    "structure-index": Rule("2.2.8", "indices in ModelStructure and derivative are those of variables"),
-    "structure-duplicate": Rule("2.2.8", "an unknown is listed once in each list of ModelStructure"),
-    "dependency-known": Rule("2.2.8", "dependencies are knowns: inputs, states, time; initially also what is exact"),
-    "implementation": Rule("2.3", "there is a binary, or sources"),
-    "platform-folder": Rule("2.3", "folders in binaries/ have the names that importers look for"),
-    "binary-missing": Rule("2.3", "each platform's folder holds the library named after the modelIdentifier"),
-    "binary-format": Rule("2.3", "the library is of its folder's format and machine"),
-    "exports": Rule("2.3", "all functions of the interface are exported"),
-    "undefined-symbols": Rule("2.3", "undefined symbols are those of the C library and libm"),
-    "needed-libraries": Rule(
-        "2.3", "needed libraries are the system's (on Linux the C library alone), or travel in the FMU"
+    "structure-index": Rule(
+        "2.2.8", "indices (FMI 3.0: value references) in ModelStructure and derivative are those of variables", "2.4"
     ),
-    "source-files": Rule("2.3", "every listed source file is in sources/"),
+    "structure-duplicate": Rule("2.2.8", "an unknown is listed once in each list of ModelStructure", "2.4"),
+    "dependency-known": Rule("2.2.8", "dependencies are knowns: inputs, states, time; initially also what is exact"),
+    "implementation": Rule("2.3", "there is a binary, or sources", "2.5"),
+    "platform-folder": Rule("2.3", "folders in binaries/ have the names that importers look for", "2.5"),
+    "binary-missing": Rule("2.3", "each platform's folder holds the library named after the modelIdentifier", "2.5"),
+    "binary-format": Rule("2.3", "the library is of its folder's format and machine", "2.5"),
+    "exports": Rule("2.3", "all functions of the interface are exported", "2.5"),
+    "undefined-symbols": Rule("2.3", "undefined symbols are those of the C library and libm", "2.5"),
+    "needed-libraries": Rule(
+        "2.3", "needed libraries are the system's (on Linux the C library alone), or travel in the FMU", "2.5"
+    ),
+    "source-files": Rule("2.3", "every listed source file is in sources/", "2.5"),
     "ls-ref-manifest": Rule("FMI-LS-REF 2.1", "the manifest is well-formed and its files are there"),
     "ls-ref-checksum": Rule("FMI-LS-REF 2.2", "related files have the checksums of the manifest"),
 }

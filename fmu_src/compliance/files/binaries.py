@@ -32,6 +32,9 @@ FOLDERS = {
     "aarch64-windows": (".dll", "aarch64"),
     "aarch64-darwin": (".dylib", "aarch64"),
 }
+_SUFFIXES = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
+_MACHINES = ("aarch32", "aarch64", "ppc32", "ppc64", "riscv32", "riscv64", "x86", "x86_64")
+_KNOWN_MACHINES = frozenset(machine for _, machine in FOLDERS.values())  # that are read from a library
 
 # Where an FMU may say which further libraries it needs.
 _DECLARATIONS = ("documentation/externalDependencies.txt", "documentation/externalDependencies.html")
@@ -49,11 +52,22 @@ def check_binaries(directory: Path, description: Description) -> Iterator[Findin
             yield finding("source-files", f"sources/{name}", "the listed file", "none")
     declared = names_in("".join(_text(directory / name) for name in _DECLARATIONS))
     for folder in sorted({path.parts[1] for path in binaries}):
-        if folder in FOLDERS:
+        platform = _platform(description, folder)
+        if platform is not None:
             beside = {path.name for path in binaries if path.parts[1] == folder and len(path.parts) == 3}
-            yield from _check_platform(directory, description, folder, beside, declared)
+            yield from _check_platform(directory, description, folder, platform, beside, declared)
         else:
-            yield finding("platform-folder", f"binaries/{folder}", f"one of {', '.join(FOLDERS)}", folder)
+            names = ", ".join(FOLDERS) if description.version == "2.0" else "<machine>-<system>, such as x86_64-linux"
+            yield finding("platform-folder", f"binaries/{folder}", f"one of {names}", f"'{folder}'")
+
+
+def _platform(description: Description, folder: str) -> tuple[str, str] | None:
+    """Suffix and machine of the libraries in this folder of binaries/; None where FMI has no such folder."""
+    if description.version == "2.0":
+        return FOLDERS.get(folder)
+    machine, _, rest = folder.partition("-")
+    system, _, _ = rest.partition("-")  # after it may come the ABI
+    return (_SUFFIXES[system], machine) if machine in _MACHINES and system in _SUFFIXES else None
 
 
 def host_library(identifier: str) -> str | None:
@@ -73,9 +87,14 @@ def _text(path: Path) -> str:
 
 
 def _check_platform(
-    directory: Path, description: Description, folder: str, beside: set[str], declared: frozenset[str]
+    directory: Path,
+    description: Description,
+    folder: str,
+    platform: tuple[str, str],
+    beside: set[str],
+    declared: frozenset[str],
 ) -> Iterator[Finding]:
-    suffix, machine = FOLDERS[folder]
+    suffix, machine = platform
     for interface, identifier in description.identifiers.items():
         path = f"binaries/{folder}/{identifier}{suffix}"
         if f"{identifier}{suffix}" not in beside:
@@ -86,10 +105,11 @@ def _check_platform(
         except ValueError as error:
             yield finding("binary-format", path, f"a library for {folder}", str(error))
             continue
-        if machine not in library.machines:
+        if machine in _KNOWN_MACHINES and machine not in library.machines:
             found = f"code for {', '.join(sorted(library.machines))}"
             yield finding("binary-format", path, f"code for {machine}", found)
-        missing = sorted(functions(interface) - library.exports)
+        wanted = functions(interface) if description.version == "2.0" else functions_of_fmi3(interface)
+        missing = sorted(wanted - library.exports)
         if missing:
             yield finding("exports", path, f"all functions of {interface} exported", f"{', '.join(missing)} missing")
         if not description.says("needsExecutionTool", interface):  # else the FMU says itself that it is not complete
@@ -135,3 +155,20 @@ def functions(interface: str) -> frozenset[str]:
     exchange, cosimulation = rest.split("Functions for FMI2 for Co-Simulation")
     own = cosimulation if interface == "CoSimulation" else exchange
     return frozenset(re.findall(r"FMI2_Export \w+TYPE\s+(\w+);", common + own))
+
+
+@cache
+def functions_of_fmi3(interface: str) -> frozenset[str]:
+    """The same for FMI 3.0."""
+    header = (Path(fmpy.__file__).parent / "c-code" / "fmi3Functions.h").read_text()
+    parts = re.split(r"(?:Functions for|Common) ([\w -]+)\n\*+/", header)  # heading, text, heading, ...
+    sections: dict[str, str] = {}
+    for heading, text in zip(parts[1::2], parts[2::2], strict=True):
+        sections[heading] = sections.get(heading, "") + text
+    own = {
+        "CoSimulation": "Co-Simulation",
+        "ModelExchange": "Model Exchange",
+        "ScheduledExecution": "Scheduled Execution",
+    }
+    declarations = sections["Functions"] + sections[own[interface]]
+    return frozenset(re.findall(r"FMI3_Export \w+TYPE\s+(\w+);", declarations))

@@ -66,6 +66,7 @@ class Description:
     index, on which it may depend without a step; all where it does not say.
     """
 
+    version: str  # of FMI: 2.0 or 3.0
     guid: str
     convention: str  # of variables' names: flat or structured
     interfaces: dict[str, dict[str, str]]
@@ -105,6 +106,7 @@ def read(root: etree._Element) -> Description:
     experiment = root.find("DefaultExperiment")
     variables = tuple(_variables(root))
     return Description(
+        version="2.0",
         guid=root.get("guid", ""),
         convention=root.get("variableNamingConvention", "flat"),
         interfaces={str(element.tag): dict(element.attrib) for element in elements},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import stat
 import struct
 import zipfile
@@ -13,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from lxml import etree
 
-from fmu_src.compliance.finding import CannotCheck, Finding
+from fmu_src.compliance.finding import CannotCheck, Finding, one_line
 from fmu_src.compliance.rules import finding
 
 DESCRIPTION = "modelDescription.xml"
@@ -22,6 +23,7 @@ MOST_BYTES = 2 << 30
 MOST_BYTES_OF_DESCRIPTION = 128 << 20
 MOST_FILES = 100_000
 
+_VERSIONS = re.compile(r"2\.0\Z|3\.0(\.\d+)?\Z")
 _METHODS = (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)
 # What zipfile raises at damaged archives: besides its own error those of what it stumbles over, and RuntimeError for encrypted files.
 _DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, EOFError, ValueError, LookupError, OverflowError)
@@ -40,13 +42,17 @@ class Package:
     root: etree._Element
     version: str
 
+    def read(self, name: str) -> bytes:
+        with zipfile.ZipFile(self.path) as archive:
+            return archive.read(name)
+
 
 def open_package(path: Path) -> Package:
     """The FMU at `path`.
 
     Raises:
         NotAnFmu: no such file, a folder, no zip file, no readable modelDescription.xml, larger than what is checked here,
-            another FMI version than 2.0.
+            another FMI version than 2.0 and 3.0.
     """
     try:
         if path.is_dir():
@@ -66,10 +72,10 @@ def open_package(path: Path) -> Package:
     except _DAMAGE as error:
         raise NotAnFmu(f"{path}: not an FMU: no sound zip file ({error})") from None
     root = _parsed(path, document)
-    version = root.get("fmiVersion")
-    if root.tag != "fmiModelDescription" or version != "2.0":
-        raise NotAnFmu(f"{path}: is of FMI version {version or 'unknown'}; FMI 2.0 is checked here")
-    return Package(path, names, root, version)
+    version = root.get("fmiVersion") or ""
+    if root.tag != "fmiModelDescription" or not _VERSIONS.match(version):
+        raise NotAnFmu(f"{path}: is of FMI version {one_line(version) or 'unknown'}; FMI 2.0 and 3.0 are checked here")
+    return Package(path, names, root, version[:3])
 
 
 def _check_size(path: Path, archive: zipfile.ZipFile) -> None:
