@@ -35,6 +35,7 @@ from cosim.system.resolve import ResolvedSystem, find_variable, resolve
 from cosim.whole import whole
 
 QUESTION, RUNS, TABLE = "campaign.json", "runs", "runs.csv"
+LARGEST_QUESTION = 2**24  # bytes
 CONNECT_TIMEOUT = 10.0  # [s] for a scheduler to answer
 WORKERS_TIMEOUT = 30.0  # [s] for its first worker to appear
 
@@ -132,7 +133,7 @@ def campaign(
         for i, outcome in enumerate(_perform_all(system, digest, experiment, todo, scheduler, workers), start=1):
             save(outcome, records[outcome.run])
             progress(runs - len(todo) + i, runs)
-    outcomes = [load(record) for record in records.values()]
+    outcomes = [load(record, number, values[number], len(found)) for number, record in records.items()]
     _write_table(outcomes, out / TABLE)
     units = {pair.truth: _unit(resolved, pair.truth) for pair in found}
     return Campaign(resolved.system.name, experiment, found, units, outcomes)
@@ -187,13 +188,17 @@ def _open_folder(out: Path, question: Mapping[str, Any]) -> None:
             partial.write_text(json.dumps(asked, indent=1) + "\n", encoding="utf-8")
         return
     try:
+        if path.stat().st_size > LARGEST_QUESTION:
+            raise ValueError(f"more than {LARGEST_QUESTION} bytes")
         held = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        if not isinstance(held, dict) or held.keys() != asked.keys():
+            raise ValueError("it holds something else")
+    except (ValueError, RecursionError) as error:
         raise SystemFileError(f"{path}: not the head of a campaign ({error})") from None
     if held != asked:
-        differing = [key for key in asked if held.get(key) != asked[key]]
+        differing = [key for key in asked if held[key] != asked[key]]
         differences = [
-            "the contents of the .ssp file" if key == "system" else f"{key} was {held.get(key)}, now {asked[key]}"
+            "the contents of the .ssp file" if key == "system" else f"{key} was {held[key]}, now {asked[key]}"
             for key in differing
         ]
         raise ExperimentError(f"{out} holds another campaign ({'; '.join(differences)}): choose another folder")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from cosim.whole import whole
 
 SETTLE = 6.0  # [s]; Gong, Ross & Kang's Example 5 has a window of 5 s
 ROWS = 2000  # of the trajectories that are kept of a run, at most
+LARGEST_RECORD = 2**28  # bytes, inflated
 COUNTERS = ("diagnostics.solver_failures", "diagnostics.rejected_samples")
 
 
@@ -138,15 +139,59 @@ def save(outcome: Outcome, path: Path) -> None:
         )
 
 
-def load(path: Path) -> Outcome:
-    """Read what `save` wrote.
+def load(path: Path, number: int, values: Mapping[str, float | int], pairs: int) -> Outcome:
+    """Read what `save` wrote of run `number`, which had `values` and has as many `pairs` of estimates and truths.
 
     Raises:
-        SystemFileError: not such a file.
+        SystemFileError: not that record.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            head = json.loads(str(stored["head"]))
-            return Outcome(**head, time=stored["time"], truths=stored["truths"], estimates=stored["estimates"])
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise SystemFileError(f"{path}: not the record of a run ({error}); delete it to run it again") from None
+        made = _outcome(path)
+        _check(made, number, values, pairs)
+        return made
+    except MemoryError:
+        reason = "it asks for more memory than there is"
+    except (
+        Exception
+    ) as error:  # of the zip file, of its compression, of numpy's format, of JSON: each has errors of its own
+        reason = str(error) or type(error).__name__
+    raise SystemFileError(f"{path}: not the record of this run ({reason}); delete it to run it again")
+
+
+def _outcome(path: Path) -> Outcome:
+    with zipfile.ZipFile(path) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > LARGEST_RECORD:
+        raise ValueError(f"{size} bytes, more than {LARGEST_RECORD}")
+    with np.load(path, allow_pickle=False) as stored:
+        for name in ("head", "time", "truths", "estimates"):
+            _check_header(path, name)
+        head = json.loads(str(stored["head"]))
+        return Outcome(**head, time=stored["time"], truths=stored["truths"], estimates=stored["estimates"])
+
+
+def _check_header(path: Path, name: str) -> None:
+    """Refuse an array whose header promises more than its entry holds, before numpy makes room for it."""
+    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as entry:
+        version = np.lib.format.read_magic(entry)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, kind = read(entry)
+    if math.prod(shape) * kind.itemsize > archive.getinfo(f"{name}.npy").file_size:
+        raise ValueError(f"the array '{name}' is cut off")
+
+
+def _check(made: Outcome, number: int, values: Mapping[str, float | int], pairs: int) -> None:
+    if made.run != number or dict(made.values) != dict(values):
+        raise ValueError("it is that of another run")
+    if not isinstance(made.failure, str) or not isinstance(made.numbers, dict):
+        raise ValueError("its head is damaged")
+    if any(type(value) not in (int, float) for value in made.numbers.values()):
+        raise ValueError("one of its numbers is none")
+    rows, wide = (0, 0) if made.failure else (len(made.time), pairs)
+    shapes = {"time": (rows,), "truths": (rows, wide), "estimates": (rows, wide)}
+    for name, shape in shapes.items():
+        found = getattr(made, name)
+        if found.shape != shape or found.dtype != np.float64:
+            raise ValueError(f"the array '{name}' has the shape {found.shape}, not {shape}")
+    if not made.failure and not rows:
+        raise ValueError("it has no rows")
