@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pefile
 from elftools.common.exceptions import ELFError
@@ -48,8 +47,13 @@ def read_library(path: Path) -> Library:
 
 
 def _elf(path: Path) -> Library:
+    with path.open("rb") as content:
+        return _elf_of(content)
+
+
+def _elf_of(content: BinaryIO) -> Library:
     try:
-        file = ELFFile(io.BytesIO(path.read_bytes()))
+        file = ELFFile(content)
         table, dynamic = _section(file, ".dynsym"), _section(file, ".dynamic")
         if table is None or dynamic is None:
             raise ValueError("no shared library (it has no dynamic symbols)")
@@ -89,7 +93,10 @@ def _elf_providers(file: ELFFile) -> Callable[[int], str | None]:
 
 def _pe(path: Path) -> Library:
     try:
-        file = pefile.PE(data=path.read_bytes())
+        file = pefile.PE(str(path), fast_load=True)
+        file.parse_data_directories(
+            [pefile.DIRECTORY_ENTRY[f"IMAGE_DIRECTORY_ENTRY_{name}"] for name in ("EXPORT", "IMPORT")]
+        )
     except pefile.PEFormatError as error:
         raise ValueError(f"no PE file ({error})") from None
     exported = getattr(file, "DIRECTORY_ENTRY_EXPORT", None)

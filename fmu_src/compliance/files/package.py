@@ -22,6 +22,7 @@ DESCRIPTION = "modelDescription.xml"
 MOST_BYTES = 2 << 30
 MOST_BYTES_OF_DESCRIPTION = 128 << 20
 MOST_FILES = 100_000
+MOST_MARKS = 5_000_000  # tags and attributes of the description: each takes a hundred bytes or two of memory
 
 _VERSIONS = re.compile(r"2\.0\Z|3\.0(\.\d+)?\Z")
 _METHODS = (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)
@@ -97,6 +98,9 @@ def _check_size(path: Path, archive: zipfile.ZipFile) -> None:
 
 
 def _parsed(path: Path, document: bytes) -> etree._Element:
+    marks = document.count(b"<") + document.count(b"=")
+    if marks > MOST_MARKS:
+        raise NotAnFmu(f"{path}: {DESCRIPTION} has {marks} tags and attributes; at most {MOST_MARKS} are checked here")
     try:
         return etree.fromstring(document)
     except etree.XMLSyntaxError as error:

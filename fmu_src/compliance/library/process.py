@@ -7,6 +7,7 @@ lines to one pipe: the case's number, a letter, and what belongs to it.
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import queue
 import signal
@@ -24,6 +25,7 @@ from fmu_src.compliance.library.calls import Subject
 from fmu_src.compliance.rules import finding
 
 TIMEOUT = 30.0  # [s] for a single call: one that takes longer hangs
+FORKS = hasattr(os, "fork")  # else a server is for one case
 _START = 120.0  # [s] for the server, on a machine however busy
 _LONGEST_LINE = 1 << 16
 _GARBAGE = "the FMU wrote into the pipe of the process that drives it"
@@ -69,7 +71,8 @@ class Server:
         self._number = 0
         self._subject: Subject | None = None
         self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        code = f"import sys; sys.path[:] = {sys.path!r}; from fmu_src.compliance.library.server import serve; serve()"
+        path = f"import sys; sys.path[:] = {sys.path!r}"
+        code = f"{path}; from fmu_src.compliance.library.server import serve; serve(forks={FORKS})"
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", code],
@@ -132,7 +135,10 @@ class Server:
                     raise CannotCheck(f"a process that hung in {call} could not be ended") from None
                 outcome.hung = True
                 outcome.findings.append(_ended(case, f"no answer from {call} within {TIMEOUT:g} s"))
-                self._send("kill")
+                if FORKS:
+                    self._send("kill")
+                else:
+                    self._process.kill()
                 continue
             try:
                 match kind:
@@ -161,6 +167,8 @@ class Server:
         while True:
             line = self._lines.get(timeout=timeout)
             if not line:
+                if not FORKS:
+                    return "e", str(self._process.wait())
                 raise CannotCheck("the process that runs the probes was ended by the FMU")
             if line == b"\n":
                 continue

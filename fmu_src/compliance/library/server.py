@@ -25,18 +25,17 @@ from fmu_src.compliance.library.process import Case
 from fmu_src.compliance.rules import finding
 
 import_module("fmu_src.compliance.check")  # all that a child would import; by name, for an import would close a circle
-_FORKS = hasattr(os, "fork")
 
 
-def serve() -> None:
-    """Serve the process at the other end of stdin and stdout until it is gone."""
+def serve(forks: bool) -> None:
+    """Serve the process at the other end of stdin and stdout until it is gone; without forks, one case."""
     commands, results = os.dup(0), os.dup(1)
     nothing = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1):
         os.dup2(nothing, stream)
     woken, waker = os.pipe()
     os.set_blocking(waker, False)
-    if _FORKS:
+    if forks:
         signal.set_wakeup_fd(waker)
         signal.signal(signal.SIGCHLD, lambda *_: None)
     os.write(results, b"0 r ready\n")
@@ -46,7 +45,7 @@ def serve() -> None:
             case ("subject", subject):
                 gc.freeze()  # it is the children's too: a collection there would copy it
             case ("case", number, case, timeout):
-                if not _FORKS:  # then a process is for one case
+                if not forks:
                     _run(number, case, subject, timeout, results)
                 child = os.fork()
                 if child == 0:

@@ -6,17 +6,21 @@ import ctypes
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
+from lxml import etree
 
-from broken_fmus import Make, compiled
+from broken_fmus import BINARY, Contents, Make, compiled
 from fmu_src.compliance.check import check
 from fmu_src.compliance.files import package
+from fmu_src.compliance.files.description import read
 from fmu_src.compliance.files.package import NotAnFmu
 from fmu_src.compliance.files.systems import is_named, is_part_of, names_in
 from fmu_src.compliance.finding import CannotCheck
-from fmu_src.compliance.library import process
+from fmu_src.compliance.library import lifecycle, process
+from fmu_src.compliance.library.calls import Subject
 from tools import ROOT
 
 
@@ -118,6 +122,37 @@ def test_what_inflates_beyond_a_limit_is_refused_before_it_is_inflated(
     monkeypatch.setattr("zipfile.ZipFile.open", lambda *_: pytest.fail("it was inflated"))
     with pytest.raises(NotAnFmu, match=words):
         check(path)
+
+
+def test_a_description_of_too_many_tags_is_refused_before_it_is_read(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(package, "MOST_MARKS", 50)
+    with pytest.raises(NotAnFmu, match="tags and attributes; at most 50 are checked here"):
+        check(make())
+
+
+def test_where_processes_cannot_fork_each_case_has_a_server_of_its_own(
+    make: Make, sound: Contents, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "FORKS", False)
+    monkeypatch.setattr(process, "TIMEOUT", 2.0)
+    monkeypatch.setattr(process, "_server", None)
+    check(make({BINARY: None}))  # a static check alone has one case
+    library = make(defect="exits")
+    with zipfile.ZipFile(library) as archive:
+        archive.extractall(tmp_path / "fmu")
+    (tmp_path / "scratch").mkdir()
+    description = read(etree.fromstring(sound["modelDescription.xml"]))
+    subject = Subject(
+        description, "CoSimulation", str(tmp_path / "fmu" / BINARY), "", 0.0, 1.0, 0.1, (), tmp_path / "scratch"
+    )
+    for probe, found in (
+        (lifecycle.load, []),
+        (lifecycle.life, ["the end of the process (exit code 0) in fmi2DoStep"]),
+    ):
+        outcome = process.run(process.Case("legal-call", "a legal life", probe), subject)
+        assert [finding.found for finding in outcome.findings] == found
 
 
 def test_a_long_temporary_folder_is_no_matter(make: Make, tmp_path: Path) -> None:
