@@ -6,8 +6,8 @@ moves on, the sample that it leaves behind corrects (sbar, P) as in an extended 
     s+ = sbar + G (y0 - h(s*) - M0 (sbar - s*))        P+ = (I - G M0) P (I - G M0)' + G R G'
 
 and both move on by one sample along the window's trajectory: s' = [x1 + S1 (s+ - s*); theta+], P' = A P+ A' + Qd, A = [S1; 0 I]
-(Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48 (2), 2003). On a linear model the estimate then equals the Kalman filter's, whatever
-the window's length.
+(Rao, Rawlings & Mayne, IEEE Trans. Automat. Contr. 48 (2), 2003). On a linear model without process noise the estimate then equals the
+Kalman filter's, whatever the window's length; with it where each sample has a segment of its own (`window.process_noise`).
 """
 
 from __future__ import annotations

@@ -35,9 +35,9 @@ from observers.pseudospectral.ports import (
     DIAGNOSTICS,
     QUALITY,
     REGULARITY_LIMIT,
-    TUNING,
     constants,
 )
+from observers.pseudospectral.ports import tuning as tuning_of
 
 
 def pseudospectral(
@@ -95,7 +95,8 @@ def pseudospectral(
     noisy = structure.noisy(model, process_noise, noise_bound is not None, arrival_cost)
     more = noise_bound is not None or arrival_cost or any(noisy)
     structure.check(model, sample_time, N, L, segments, cost, more)
-    tuning = (*TUNING, REGULARITY_LIMIT) if model.algebraic else TUNING
+    tuning = tuning_of(len(model.states) + len(model.unknown_parameters))
+    tuning = (*tuning, REGULARITY_LIMIT) if model.algebraic else tuning
     tube = bounded_noise.ports_of(model, noise_bound)
     weighted = arrival_cost or any(noisy) or measurement_noise is not None
     given = arrival.Given(arrival_cost, weighted, process_noise, measurement_noise, initial_std)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from observers import ports
 from observers.component import Port
 from observers.pseudospectral.window.iteration import MOST_ITERATIONS
@@ -59,6 +61,20 @@ TUNING = (
         variability="tunable",
     ),
 )
+FEW_UNKNOWNS = 4  # up to which the limit of TUNING holds
+SMALLEST_LIMIT = 1e-12  # below, rounding takes what is left
+
+
+def tuning(unknowns: int) -> tuple[Port, ...]:
+    """TUNING for a window with so many unknowns: the more there are the wider the pivots spread, a decade for each."""
+    return tuple(
+        replace(port, start=max(port.start * 0.1 ** max(unknowns - FEW_UNKNOWNS, 0), SMALLEST_LIMIT))
+        if port.name == "tuning.conditioning_limit"
+        else port
+        for port in TUNING
+    )
+
+
 DIAGNOSTICS = (
     *ports.VERDICT,
     Port(

@@ -107,13 +107,16 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
     *new, size, cost_after, conditioning, spread, slack, iterations = found
     converged, determined = _acceptable(method, now, new, size, conditioning, due)
     accepted = ca.logic_and(converged, determined)
+    # A window that still grows and does not determine the state yet has not failed: it waits for more samples.
+    short = 0 if method.arrival else ca.logic_and(ca.logic_not(window.moving), conditioning <= q.conditioning_limit)
+    waiting = ca.logic_and(ca.logic_and(due, ca.logic_not(converged)), short)
     pairs = zip(new, start.trajectory, strict=True)
     return Solution(
         trajectory=Trajectory(*(ca.if_else(accepted, after, old) for after, old in pairs)),
         accepted=accepted,
         kept=ca.logic_and(wanted, ca.logic_not(due)),
-        failed=ca.logic_and(due, ca.logic_not(converged)),
-        undetermined=ca.logic_and(converged, ca.logic_not(determined)),
+        failed=ca.logic_and(due, ca.logic_not(ca.logic_or(converged, waiting))),
+        undetermined=ca.logic_or(ca.logic_and(converged, ca.logic_not(determined)), waiting),
         # Where the start lies outside the domain of the model's functions, so do they: nothing is lost by showing the last cost.
         cost=kept(ca.if_else(accepted, cost_after, ca.if_else(ref.enough, before, 0)), now.s.cost),
         cost_after=cost_after,
