@@ -12,7 +12,9 @@ Those of ukf, riccati, least_squares and pseudospectral with an arrival cost, st
         variance grows at the rate of its square.
     measurement_noise: `tuning.measurement_noise.<output>`, standard deviation of a sample.
     initial_std: `tuning.initial_std.<state or unknown parameter>`, standard deviation of the guess; fixed.
-A name that is not in the mapping has the method's own part of the variable's nominal value.
+A name that is not in a mapping has its default: in process_noise, for a sample, 5e-4 of a state's nominal value and 2e-3 of an unknown
+parameter's (divided by sqrt(Ts)); in measurement_noise 0.1 of it; in initial_std the nominal value. Where measurement_noise is not given
+at all, the noise is estimated: see `observers.vigilance`.
 
 Inputs are the model's outputs, its known inputs, then a flag for each output that says whether its sample has arrived. `estimate.*` is of
 the current time, `filtered.*` of the last sample instant.
@@ -42,6 +44,7 @@ class Deviation:
     per_root_second: bool = False
 
 
+STATE_PART, PARAMETER_PART = 5e-4, 2e-3  # of a nominal value: default process noise a sample
 PROCESS_NOISE = Deviation("process noise intensity of", per_root_second=True)
 MEASUREMENT_NOISE = Deviation("standard deviation of a sample of")
 INITIAL_STD = Deviation("standard deviation of the guess of")
@@ -220,7 +223,7 @@ def innovations(model: Model) -> tuple[Port, ...]:
 
 
 def standard_deviations(model: Model) -> tuple[Port, ...]:
-    """`diagnostics.std.<state or unknown parameter>`, of the current estimate."""
+    """`diagnostics.std.<state or unknown parameter>`, of the current estimate: after the last sample, with the process noise since then."""
     return tuple(
         Port(
             f"diagnostics.std.{v.name}",
@@ -271,6 +274,18 @@ def deviations(
     if given:
         raise ModelError(f"{owner}: {group} of '{next(iter(given))}'; known: {', '.join(v.name for v in variables)}")
     return tuple(made)
+
+
+def process_noise(owner: str, model: Model, values: Mapping[str, float] | None, sample_time: float) -> tuple[Port, ...]:
+    """`tuning.process_noise.<state or unknown parameter>`; by default STATE_PART or PARAMETER_PART of the nominal values a sample.
+
+    Raises:
+        ModelError: a name in `values` that is neither.
+    """
+    variables = (*model.states, *model.unknown_parameters)
+    parts = [STATE_PART] * len(model.states) + [PARAMETER_PART] * len(model.unknown_parameters)
+    usual = {v.name: part * v.nominal / math.sqrt(sample_time) for v, part in zip(variables, parts, strict=True)}
+    return deviations(owner, "process_noise", PROCESS_NOISE, variables, usual | dict(values or {}), 0.0)
 
 
 def refuse_both(owner: str, paper: str, by_paper: object, deviation: str, by_deviation: object) -> None:

@@ -28,7 +28,14 @@ FMUS: dict[str, Source] = {
     "james_baras_5_2": (sine_output, None),
     "james_baras_5_1_riccati": (
         lambda: riccati(
-            JAMES_BARAS_5_1, sample_time=0.01, guess={"x1": 0.0, "x2": 0.0, "x3": 0.0}, expose=["Q"], stop_time=20.0
+            JAMES_BARAS_5_1,
+            sample_time=0.01,
+            N=1.0,
+            R=1.0,
+            Q0=1.0,
+            guess={"x1": 0.0, "x2": 0.0, "x3": 0.0},
+            expose=["Q"],
+            stop_time=20.0,
         ),
         bilinear,
     ),

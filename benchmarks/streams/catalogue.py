@@ -166,7 +166,7 @@ PAPERS = {
     ),
     "chen_yen_least_squares": Entry(
         FMUS["chen_yen_least_squares"][0],
-        _scenario("chen_yen", _made["chen_yen"], 0.01, 600, noise={"y": 1e-3}, settled=100),
+        _scenario("chen_yen", _made["chen_yen"], 0.01, 2600, noise={"y": 1e-3}, settled=1040),
     ),
     "james_baras_5_1_riccati": Entry(
         FMUS["james_baras_5_1_riccati"][0],
@@ -174,9 +174,9 @@ PAPERS = {
             "james_baras_5_1",
             _made["james_baras_5_1"],
             0.01,
-            1500,
+            4000,
             noise={"y": 1e-2},
-            settled=500,
+            settled=1600,
             inputs=lambda seed, samples: _waves(
                 0.01, samples, u1=lambda t: np.sin(1.3 * t), u2=lambda t: np.cos(0.7 * t)
             ),

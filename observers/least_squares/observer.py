@@ -40,6 +40,7 @@ from observers.linearisation import Linearisation, linearisation, prediction_ste
 from observers.model import Model, ModelError, refuse
 from observers.numerics.finite import HUGE
 from observers.status import shown as verdict
+from observers.vigilance import TUNING
 
 CONTRACTION = (
     Port(
@@ -106,8 +107,9 @@ def least_squares(
         raise ValueError(f"least_squares: T = {T:g} s must be finite and at least the sample time, {sample_time:g} s")
     chosen = weights(model, line.variables, gamma, p0, measurement_noise, initial_std)
     v = steps.parts(model, line, chosen)
-    shown = [v.s.x, v.s.x_filtered, verdict(v.s.status), v.s.innovation, v.s.contraction, v.s.certified, v.s.intervals]
-    shown += [v.s.rejected, v.s.failures]
+    shown = [v.s.x, v.s.x_filtered, verdict(v.s.status), v.s.innovation, v.deviations(v.s)]
+    shown += [v.s.contraction, v.s.certified, v.s.intervals]
+    shown += [v.s.rejected, v.s.failures, v.s.restarts]
     return Component(
         name=name or f"{model.name}_least_squares",
         description=f"Least-squares observer with covariance reset for {model.name} (Chen & Yen 1999)",
@@ -121,14 +123,17 @@ def least_squares(
             *ports.known_parameters(model),
             Port("tuning.T", "time between covariance resets", "s", T, min=1e-6, variability="tunable"),
             *chosen.ports,
+            *TUNING,
             period,
         ),
         outputs=(
             *ports.estimates(model),
             *ports.VERDICT,
             *ports.innovations(model),
+            *ports.standard_deviations(model),
             *CONTRACTION,
             *ports.COUNTERS,
+            ports.RESTARTS,
         ),
         sample_time="sample_time",
         samples_inputs=True,

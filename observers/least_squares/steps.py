@@ -9,23 +9,27 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
-from observers.least_squares.information import information_update
+from observers.least_squares.information import error_covariance, information_update
 from observers.least_squares.weights import Weights
 from observers.linearisation import Linearisation
 from observers.model import Model
+from observers.numerics import linear
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.riccati import UNROLLED
 from observers.numerics.runge_kutta import runge_kutta
 from observers.status import CODE, worst
+from observers.vigilance import Watch, verdict
 
 
 @dataclass(frozen=True)
 class Parts:
     """The observer's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name."""
 
+    model: Model
     line: Linearisation
     weights: Weights
+    watch: Watch
     state: Layout
     z: Any
     u: Any
@@ -50,20 +54,34 @@ class Parts:
         """The information at an interval's start (n^2)."""
         return self.weights.information(self.q.prior, self.n)
 
+    @property
+    def guess_covariance(self) -> Any:
+        """The covariance of the guess (n^2)."""
+        return self.weights.covariance(self.q.prior, self.n)
+
+    def deviations(self, s: SimpleNamespace) -> Any:
+        """The standard deviations (n) of the estimate in the state `s`."""
+        Phi, S = (ca.reshape(part, self.n, self.n) for part in (s.Phi, s.S))
+        return self.watch.deviations(s.watch, ca.diag(Phi @ S @ Phi.T))
+
 
 def parts(model: Model, line: Linearisation, weights: Weights) -> Parts:
     n, ny = len(line.variables), len(model.outputs)
+    watch = Watch(model, n, known=weights.noise_known, weighted=not weights.by_noise)
     state = Layout(
-        x=n, Phi=n * n, Y=n * n, x_filtered=n, before=n, undoable=1, samples=1, innovation=ny, status=1, contraction=1, certified=1,
-        intervals=1, rejected=1, failures=1,
+        x=n, Phi=n * n, Y=n * n, S=n * n, x_filtered=n, before=n, undoable=1, samples=1, innovation=ny, watch=watch.state.total, status=1,
+        contraction=1, certified=1, intervals=1, rejected=1, failures=1, restarts=1,
     )  # fmt: skip
     tuned = {"samples": len(weights.samples), "prior": len(weights.prior)}
-    settings = Layout(guess=n, model=len(model.parameters), T=1, **tuned, sample_time=1)
+    watched = {"false_alarm": 1, "deviation_limit": 1, "gate": 1}
+    settings = Layout(guess=n, model=len(model.parameters), T=1, **tuned, **watched, sample_time=1)
     z, u, p, t, h = (
         ca.MX.sym(*shape)
         for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
     )
-    return Parts(line, weights, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u))
+    return Parts(
+        model, line, weights, watch, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u)
+    )
 
 
 def start(v: Parts) -> ca.Function:
@@ -74,8 +92,10 @@ def start(v: Parts) -> ca.Function:
             "x": v.q.guess,
             "Phi": v.one,
             "Y": v.reset,
+            "S": v.guess_covariance,
             "x_filtered": v.q.guess,
             "before": v.q.guess,  # the prediction at the last sample, before it acted; `undoable`, whether to go back to it is worth a try
+            "watch": v.watch.start,
             "status": ca.DM(CODE.propagated_guess),
         }
     )
@@ -107,7 +127,8 @@ def flow(v: Parts) -> ca.Function:
         x_filtered=ca.if_else(whole, s.x_filtered, back),
         undoable=ca.logic_and(s.undoable, whole),
         Phi=ca.if_else(finite, moved[n:], v.one),
-        Y=ca.if_else(finite, s.Y, v.reset),
+        Y=ca.if_else(finite, s.Y, v.reset / v.watch.again(s.watch)),
+        S=ca.if_else(finite, s.S, v.guess_covariance * v.watch.again(s.watch)),
         samples=ca.if_else(finite, s.samples, 0),
         status=ca.if_else(finite, s.status, CODE.solver_failed),
         failures=s.failures + ca.logic_not(finite),
@@ -118,42 +139,71 @@ def flow(v: Parts) -> ca.Function:
 def jump(v: Parts) -> ca.Function:
     """jump(z, u, p, t) -> z: the sample, as the last one of an interval that ends here, then, after the reset, as the first of the next."""
     s, q, read, line = v.s, v.q, v.read, v.line
-    ny = read.y.numel()
+    n, ny = v.n, read.y.numel()
     ended = s.samples >= ca.fmax(ca.floor(q.T / q.sample_time + 0.5), 1)
-    residual = read.y - line.measure(s.x, read.known, q.model, v.t)
+    expected = line.measure(s.x, read.known, q.model, v.t)
+    residual = ports.wrapped(v.model, read.y - expected)
     valid, rejected = ports.judged(residual, read.offered)
+    innovation = ca.if_else(valid, residual, 0)
     g, sigma = v.weights.of_sample(q.samples, q.sample_time)
+    noise = sigma**2 if sigma.numel() else ca.repmat(1 / g, ny, 1)
+    seen = line.gradient(s.x, read.known, q.model, v.t) @ ca.reshape(s.Phi, n, n)
+    spread = seen @ ca.reshape(s.S, n, n) @ seen.T
+    variances = ca.diag(spread) + noise
+    outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
+    acting = ca.logic_and(valid, ca.logic_not(outlying))
+    keep = ca.diag(acting)
+    S_nu = keep @ spread @ keep + ca.diag(ca.if_else(acting, noise, 1))
+    heard = ca.if_else(acting, innovation, 0)
+    squared = ca.dot(heard, linear.solver(ny, 1)(S_nu, heard))
+    said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     sample = _sample(line, ny, sigma.numel())
-    given = (read.known, q.model, v.t, ca.if_else(valid, read.y, 0), valid, g, sigma)
+    wrapped = any(output.wrap for output in v.model.outputs)
+    y = expected + innovation if wrapped else read.y  # an angle, as many turns from 0 as the estimate
+    given = (read.known, q.model, v.t, ca.if_else(acting, y, 0), acting, g, sigma)
     at_end = ca.logic_or(ended, s.samples == 0)
-    x, Y = sample(s.x, s.Phi, s.Y, *given, ca.if_else(at_end, 0.5, 1))
+    x, Y, M, K = sample(s.x, s.Phi, s.Y, *given, ca.if_else(at_end, 0.5, 1))
     factors = ca.vertcat(s.contraction, s.certified)
-    x, Phi, Y, factors = _reset(v, sample)(ended, x, s.Phi, Y, *given, q.prior, factors)
-    finite = ca.sumsqr(ca.vertcat(x, Y, factors)) < HUGE
-    incomplete = ca.sum1(valid) < ny
-    x = ca.if_else(finite, x, s.x)
+    x, Phi, Y, M, K, factors = _reset(v, sample)(ended, x, s.Phi, Y, M, K, *given, q.prior, factors)
+    S = ca.vec(error_covariance(n, ny)(ca.reshape(s.S, n, n), ca.reshape(M, n, n), ca.reshape(K, n, ny), 1 / g))
+    finite = ca.sumsqr(ca.vertcat(x, Y, S, factors)) < HUGE
+    anew = ca.logic_or(said.inflate, said.restart)
+    good, again = ca.logic_and(finite, ca.logic_not(anew)), v.watch.again(said.memory)
+    x = ca.if_else(said.restart, q.guess, ca.if_else(finite, x, s.x))
     after = v.state.replace(
         v.z,
         x=x,
-        Phi=ca.if_else(finite, Phi, v.one),
-        Y=ca.if_else(finite, Y, v.reset),
+        Phi=ca.if_else(good, Phi, v.one),
+        Y=ca.if_else(good, Y, v.reset / again),
+        S=ca.if_else(good, S, v.guess_covariance * again),
         x_filtered=x,
-        before=s.x,
+        before=ca.if_else(said.restart, q.guess, s.x),
         undoable=1,
-        samples=ca.if_else(finite, ca.if_else(ended, 0, s.samples) + 1, 0),
-        innovation=ca.if_else(valid, residual, 0),
-        status=worst((incomplete, CODE.sample_rejected), (ca.logic_not(finite), CODE.solver_failed)),
+        samples=ca.if_else(good, ca.if_else(ended, 0, s.samples) + 1, 0),
+        innovation=innovation,
+        watch=said.memory,
         contraction=ca.if_else(finite, factors[0], s.contraction),
         certified=ca.if_else(finite, factors[1], s.certified),
         intervals=s.intervals + ended,
         rejected=s.rejected + rejected,
         failures=s.failures + ca.logic_not(finite),
+        restarts=s.restarts + anew,
     )
-    return ca.Function("jump", [v.z, v.u, v.p, v.t], [after])
+    nominal = ca.DM([variable.nominal for variable in line.variables])
+    status = worst(
+        (ca.sum1(valid) < ny, CODE.sample_rejected),
+        *said.cases,
+        (ca.sum1(v.deviations(v.state.unpack(after)) > q.deviation_limit * nominal) > 0, CODE.uncertain),
+        (ca.logic_not(finite), CODE.solver_failed),
+    )
+    return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)])
 
 
 def _sample(line: Linearisation, ny: int, n_sigma: int) -> ca.Function:
-    """sample(x, Phi, Y, u, p, t, y, valid, g, sigma, weight) -> (x, Y) after a sample of that weight; where `valid` is 0 it has none."""
+    """sample(x, Phi, Y, u, p, t, y, valid, g, sigma, weight) -> (x, Y, M, K) after a sample of that weight; where `valid` is 0 it has none.
+
+    The error at the interval's start was e, is M e - K v then, v (ny) the sample's noise in units of sigma.
+    """
     n = len(line.variables)
     x, Phi, Y, u, p, t, y, valid, g, sigma, weight = (
         ca.MX.sym(*shape)
@@ -167,23 +217,31 @@ def _sample(line: Linearisation, ny: int, n_sigma: int) -> ca.Function:
     if n_sigma:
         C, r = ca.diag(1 / sigma) @ C, r / sigma
     update = information_update(n, ny)
-    x_after, Y_after = update(x, ca.reshape(Phi, n, n), ca.reshape(Y, n, n), C, r, weight * g)
-    function = ca.Function("sample", [x, Phi, Y, u, p, t, y, valid, g, sigma, weight], [x_after, ca.vec(Y_after)])
+    now = ca.reshape(Phi, n, n)
+    x_after, Y_after, K = update(x, now, ca.reshape(Y, n, n), C, r, weight * g)
+    M = ca.MX.eye(n) - K @ C @ now
+    results = [x_after, ca.vec(Y_after), ca.vec(M), ca.vec(K)]
+    function = ca.Function("sample", [x, Phi, Y, u, p, t, y, valid, g, sigma, weight], results)
     return function.expand() if n <= UNROLLED else function
 
 
 def _reset(v: Parts, sample: ca.Function) -> ca.Function:
-    """reset(ended, x, Phi, Y, u, p, t, y, valid, g, sigma, prior, factors) -> (x, Phi, Y, factors); nothing changes unless `ended`.
+    """reset(ended, x, Phi, Y, M, K, u, p, t, y, valid, g, sigma, prior, factors) -> (x, Phi, Y, M, K, factors); the same unless `ended`.
 
-    `factors` are the actual and the certified contraction of the interval that ended.
+    `factors` are the actual and the certified contraction of the interval that ended. The sample at a reset acts twice, in either interval:
+    M and K are of both together.
     """
     n = v.n
     prior, old = ca.MX.sym("prior", v.q.prior.numel()), ca.MX.sym("old", 2)
     x, Phi, Y, *given = (ca.MX.sym(sample.name_in(i), sample.numel_in(i)) for i in range(sample.n_in() - 1))
+    M, K = (ca.MX.sym(name, sample.numel_out(i)) for name, i in (("M", 2), ("K", 3)))
     one = ca.DM.eye(n).full().ravel()
     factors = v.weights.contraction(ca.reshape(Phi, n, n), ca.reshape(Y, n, n), prior)
-    x_new, Y_new = sample(x, one, v.weights.information(prior, n), *given, 0.5)
-    arguments = [x, Phi, Y, *given, prior, old]
-    begin = ca.Function("begin", arguments, [x_new, ca.MX(one), Y_new, factors])
-    go_on = ca.Function("go_on", arguments, [x, Phi, Y, old])
+    x_new, Y_new, M_new, K_new = sample(x, one, v.weights.information(prior, n), *given, 0.5)
+    M_new = ca.reshape(M_new, n, n) @ ca.reshape(Phi, n, n)
+    ny = K.numel() // n
+    both = [M_new @ ca.reshape(M, n, n), M_new @ ca.reshape(K, n, ny) + ca.reshape(K_new, n, ny)]
+    arguments = [x, Phi, Y, M, K, *given, prior, old]
+    begin = ca.Function("begin", arguments, [x_new, ca.MX(one), Y_new, *map(ca.vec, both), factors])
+    go_on = ca.Function("go_on", arguments, [x, Phi, Y, M, K, old])
     return ca.Function.if_else("reset", begin, go_on)

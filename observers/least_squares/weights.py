@@ -19,12 +19,16 @@ SMALLEST_STD = 1e-9  # relative to the nominal value: a weight is one over its s
 
 @dataclass(frozen=True)
 class Weights:
-    """The tuning parameters `samples` and `prior`, and which way they say it: `by_noise` instead of gamma, `by_std` instead of p0."""
+    """The tuning parameters `samples` and `prior`, and which way they say it: `by_noise` instead of gamma, `by_std` instead of p0.
+
+    `noise_known`: whether the samples' weight is what the user says the noise is.
+    """
 
     samples: tuple[Port, ...]
     prior: tuple[Port, ...]
     by_noise: bool
     by_std: bool
+    noise_known: bool = False
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -37,6 +41,10 @@ class Weights:
     def information(self, values: Any, n: int) -> Any:
         """P_o^-1 at a reset (n^2), of `prior`'s values."""
         return ca.vec(ca.densify(ca.diag(1 / values**2))) if self.by_std else ca.DM.eye(n).full().ravel() / values
+
+    def covariance(self, values: Any, n: int) -> Any:
+        """P_o at a reset (n^2), of `prior`'s values."""
+        return ca.vec(ca.densify(ca.diag(values**2))) if self.by_std else ca.DM.eye(n).full().ravel() * values
 
     def contraction(self, Phi: Any, Y: Any, values: Any) -> Any:
         """What `contraction` says of an interval; by deviations, of the error in units of these."""
@@ -74,7 +82,7 @@ def weights(
         samples = _deviations("measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, measurement_noise, 0.1)
     if by_std:
         prior = _deviations("initial_std", ports.INITIAL_STD, variables, initial_std, 1.0)
-    return Weights(samples, prior, by_noise, by_std)
+    return Weights(samples, prior, by_noise, by_std, measurement_noise is not None)
 
 
 def _paper(

@@ -39,7 +39,8 @@ class Matrix:
 class Design:
     """`N` and `Q0`, and the parameters and the start value of `R`; `Rd` (values, Ts) -> the covariance of a sample.
 
-    `sample_time`: the only Ts [s] at which R has its start value; None where R does not depend on it.
+    `sample_time`: the only Ts [s] at which R has its start value; None where R does not depend on it. `noise_known`: whether R is what the
+    user says the noise is, not a weight or a default. `weighted`: whether it is the paper's, a weight.
     """
 
     N: Matrix
@@ -47,6 +48,8 @@ class Design:
     Q0: Matrix
     Rd: Callable[[Any, Any], Any]
     sample_time: float | None = None
+    noise_known: bool = False
+    weighted: bool = False
 
     @property
     def ports(self) -> tuple[Port, ...]:
@@ -66,21 +69,21 @@ def design(
 ) -> Design:
     """The design of `paper`'s N, R, Q0, or of `deviations`' process_noise, measurement_noise, initial_std, each one way or the other.
 
-    What is given neither way is the identity, or where any deviation is given, the deviation's own default. N and Q0 are over `variables`,
-    R is over the outputs.
+    What is given neither way is the deviation's own default, or where any of the paper's matrices is given, the identity. N and Q0 are over
+    `variables`, R is over the outputs.
 
     Raises:
         ModelError: a deviation of something that is not estimated or measured.
         ValueError: both ways at once; what `matrix` refuses; a Q0 that is not symmetric positive definite.
     """
-    by_name = any(value is not None for value in deviations.values())
+    by_name = all(value is None for value in paper.values()) or any(value is not None for value in deviations.values())
     chosen = {}
     for name, other in (("N", "process_noise"), ("R", "measurement_noise"), ("Q0", "initial_std")):
         ports.refuse_both("riccati", name, paper[name], other, deviations[other])
         chosen[name] = by_name and paper[name] is None
     one = {name: 1.0 if value is None else value for name, value in paper.items()}
     N = (
-        _named("process_noise", ports.PROCESS_NOISE, variables, deviations, 1e-3)
+        _diagonal(ports.process_noise("riccati", model, deviations["process_noise"], sample_time))
         if chosen["N"]
         else matrix("N", one["N"], variables, Entry("disturbance intensity", "in {0} per sqrt(s)"))
     )
@@ -96,14 +99,15 @@ def design(
             "measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, deviations, 0.1, smallest=SMALLEST_STD
         )
         R = Matrix(noise.ports, noise.start * np.sqrt(sample_time), noise.of)
-        return Design(N, R, Q0, lambda values, Ts: ca.diag(values**2), sample_time)
+        known = deviations["measurement_noise"] is not None
+        return Design(N, R, Q0, lambda values, Ts: ca.diag(values**2), sample_time, known)
     R = matrix("R", one["R"], model.outputs, Entry("measurement error", "in {0} times sqrt(s)"))
 
     def covariance(values: Any, Ts: Any) -> Any:
         root = R.of(values)
         return root @ root.T / Ts
 
-    return Design(N, R, Q0, covariance)
+    return Design(N, R, Q0, covariance, weighted=True)
 
 
 def _named(
@@ -115,7 +119,10 @@ def _named(
     variability: str = "tunable",
     smallest: float = 0.0,
 ) -> Matrix:
-    made = ports.deviations("riccati", group, what, variables, given[group], part, variability, smallest)
+    return _diagonal(ports.deviations("riccati", group, what, variables, given[group], part, variability, smallest))
+
+
+def _diagonal(made: tuple[Port, ...]) -> Matrix:
     return Matrix(made, np.diag([port.start for port in made]), ca.diag)
 
 

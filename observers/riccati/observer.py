@@ -29,6 +29,7 @@ from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
 from observers.riccati.design import UNKNOWN, Given, design
 from observers.status import shown
+from observers.vigilance import TUNING
 
 STIFF = 2.0  # h |A| beyond which Runge-Kutta gives way to the exponential step
 INITIAL_ERROR = Port(
@@ -66,7 +67,8 @@ def riccati(
             then the Kalman filter's.
         N, R, Q0: the paper's design matrices instead: scalar, diagonal (in order, or by name) or whole, over the states and unknown
             parameters (N, Q0) and over the outputs (R); start values of `tuning.*`. N in units of the state per sqrt(s), R in units of the
-            output times sqrt(s), Q0 of the state squared. The identity where nothing is given.
+            output times sqrt(s), Q0 of the state squared. Where one is given, the others are the identity; where nothing is
+            given, the deviations' defaults.
         expose: "Q" puts out the matrix Q, `diagnostics.Q[i,j]`.
         stiff: the mean by an exponential Rosenbrock step (order 2, any stiffness) instead of Runge-Kutta (order 8). None: where h |A|
             exceeds STIFF, |A| over the model's bounds if it is finite there, else at the start values.
@@ -105,14 +107,17 @@ def riccati(
             *ports.known_parameters(model),
             *chosen.ports,
             INITIAL_ERROR,
+            *TUNING,
             period,
         ),
         outputs=(
             *ports.estimates(model),
             *ports.VERDICT,
             *ports.innovations(model),
+            *ports.standard_deviations(model),
             *CERTIFIED,
             *ports.COUNTERS,
+            ports.RESTARTS,
             *(_entries(len(line.variables)) if "Q" in expose else ()),
         ),
         constants=certificate_ports(known),
@@ -129,7 +134,8 @@ def riccati(
 def _shown(v: steps.Parts, with_Q: bool) -> list[ca.MX]:
     """The outputs, in their order."""
     s, n = v.s, len(v.line.variables)
-    columns = [s.m, s.m_filtered, shown(s.status), s.innovation, s.certified, s.rate, s.rejected, s.failures]
+    columns = [s.m, s.m_filtered, shown(s.status), s.innovation, v.deviations(s), s.certified, s.rate, s.rejected]
+    columns += [s.failures, s.restarts]
     return columns + [s.Q[i * n + j] for i in range(n) for j in range(n)] * with_Q
 
 

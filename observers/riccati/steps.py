@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
+from observers.bounds import conditioned, inside, projected
 from observers.linearisation import Linearisation
 from observers.model import Model
 from observers.numerics.finite import HUGE
@@ -20,6 +21,7 @@ from observers.riccati.correction import correction
 from observers.riccati.design import Design
 from observers.riccati.rosenbrock import rosenbrock
 from observers.status import CODE, worst
+from observers.vigilance import Watch, verdict
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Parts:
     line: Linearisation
     design: Design
     certificate: Certificate
+    watch: Watch
     stiff: bool
     state: Layout
     z: Any
@@ -47,21 +50,28 @@ class Parts:
     Rd: Any
     Q0: Any
 
+    def deviations(self, s: SimpleNamespace) -> Any:
+        """The standard deviations (n) of the estimate in the state `s`."""
+        n = len(self.line.variables)
+        return self.watch.deviations(s.watch, ca.diag(ca.reshape(s.Q, n, n)))
+
 
 def parts(model: Model, line: Linearisation, design: Design, certificate: Certificate, stiff: bool) -> Parts:
     n, ny = len(line.variables), len(model.outputs)
+    watch = Watch(model, n, known=design.noise_known, weighted=design.weighted)
     state = Layout(
-        m=n, Q=n * n, m_filtered=n, before=n, undoable=1, guess_error=1, innovation=ny, status=1, certified=1, rate=1, rejected=1,
-        failures=1,
+        m=n, Q=n * n, m_filtered=n, before=n, undoable=1, guess_error=1, innovation=ny, watch=watch.state.total, status=1, certified=1,
+        rate=1, rejected=1, failures=1, restarts=1,
     )  # fmt: skip
-    settings = Layout(guess=n, model=len(model.parameters), **design.sizes, initial_error=1, sample_time=1)
+    watched = {"false_alarm": 1, "deviation_limit": 1, "gate": 1}
+    settings = Layout(guess=n, model=len(model.parameters), **design.sizes, initial_error=1, **watched, sample_time=1)
     z, u, p, t, h = (
         ca.MX.sym(*shape)
         for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
     )
     s, q, read = state.unpack(z), settings.unpack(p), ports.read(model, u)
     N, Rd, Q0 = design.N.of(q.N), design.Rd(q.R, q.sample_time), design.Q0.of(q.Q0)
-    return Parts(model, line, design, certificate, stiff, state, z, u, p, t, h, s, q, read, N, Rd, Q0)
+    return Parts(model, line, design, certificate, watch, stiff, state, z, u, p, t, h, s, q, read, N, Rd, Q0)
 
 
 def start(v: Parts) -> ca.Function:
@@ -74,9 +84,11 @@ def start(v: Parts) -> ca.Function:
         "undoable": ca.DM(0),  # whether to go back to it is worth a try
         "guess_error": v.certificate.distance(v.q.guess, v.q.initial_error),
         "innovation": ca.DM.zeros(len(v.model.outputs)),
+        "watch": v.watch.start,
         "status": ca.DM(CODE.propagated_guess),
         "rejected": ca.DM(0),
         "failures": ca.DM(0),
+        "restarts": ca.DM(0),
     }
     first["certified"], first["rate"] = certify(v.certificate, first["guess_error"], 1)
     return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
@@ -93,19 +105,21 @@ def flow(v: Parts) -> ca.Function:
     Q, W = ca.reshape(s.Q, n, n), v.N @ v.N.T
     if v.stiff:
         at = (s.m, known, q.model, v.t)
-        dm, Phi, Wd = rosenbrock(line.jacobian(*at), line.rate(*at), line.rate_t(*at), W, v.h)
+        A = line.jacobian(inside(line.variables, s.m), *at[1:])
+        dm, Phi, Wd = rosenbrock(A, line.rate(*at), line.rate_t(*at), W, v.h)
         m = s.m + dm
     else:
-        m = runge_kutta(lambda x, time: line.rate(x, known, q.model, time), s.m, v.t, v.h)
-        Phi, Wd = propagator(n)(line.jacobian((s.m + m) / 2, known, q.model, v.t + v.h / 2), W, v.h)
+        m = runge_kutta(lambda x, time: line.rate(projected(line.variables, x), known, q.model, time), s.m, v.t, v.h)
+        middle = inside(line.variables, (s.m + m) / 2)
+        Phi, Wd = propagator(n)(line.jacobian(middle, known, q.model, v.t + v.h / 2), W, v.h)
     Q = ca.vec(symmetric(Wd + Phi @ Q @ Phi.T))
     whole = ca.sumsqr(m) < HUGE
     finite = ca.logic_and(whole, ca.sumsqr(Q) < HUGE)
     back = ca.if_else(s.undoable, s.before, q.guess)
     after = v.state.replace(
         v.z,
-        m=ca.if_else(whole, m, back),
-        Q=ca.if_else(finite, Q, ca.vec(ca.densify(v.Q0))),
+        m=ca.if_else(whole, projected(line.variables, m), back),
+        Q=ca.if_else(finite, Q, v.watch.again(s.watch) * ca.vec(ca.densify(v.Q0))),
         m_filtered=ca.if_else(whole, s.m_filtered, back),
         undoable=ca.logic_and(s.undoable, whole),
         status=ca.if_else(finite, s.status, CODE.solver_failed),
@@ -119,32 +133,46 @@ def jump(v: Parts) -> ca.Function:
     s, q, read, line = v.s, v.q, v.read, v.line
     n, ny = len(line.variables), len(v.model.outputs)
     at = (s.m, read.known, q.model, v.t)
-    residual = read.y - line.measure(*at)
+    residual = ports.wrapped(v.model, read.y - line.measure(*at))
     valid, rejected = ports.judged(residual, read.offered)
     innovation = ca.if_else(valid, residual, 0)  # a residual that is not finite is not valid
-    Q = ca.reshape(s.Q, n, n)
-    m, Q_after = correction(n, ny)(s.m, Q, line.gradient(*at), innovation, v.Rd, valid)
+    Q, C = ca.reshape(s.Q, n, n), line.gradient(inside(line.variables, s.m), *at[1:])
+    variances = ca.sum2((C @ Q) * C) + ca.diag(v.Rd)
+    outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
+    acting = ca.logic_and(valid, ca.logic_not(outlying))
+    m, Q_after, squared = correction(n, ny)(s.m, Q, C, innovation, v.Rd, acting)
+    within = conditioned(line.variables, m, Q_after)
+    said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     Q_after = ca.vec(Q_after)
     finite = ca.sumsqr(ca.vertcat(m, Q_after)) < HUGE
     incomplete = ca.sum1(valid) < ny
-    certified, rate = _certified(v, ca.if_else(finite, m, s.m), incomplete)
-    status = worst((incomplete, CODE.sample_rejected), (ca.logic_not(finite), CODE.solver_failed))
-    m = ca.if_else(finite, m, s.m)
+    certified, rate = _certified(v, ca.if_else(finite, m, s.m), ca.sum1(acting) < ny)
+    anew = ca.logic_or(said.inflate, said.restart)
+    first = v.watch.again(said.memory) * ca.vec(ca.densify(v.Q0))
+    m = ca.if_else(said.restart, q.guess, ca.if_else(finite, within, s.m))
     after = v.state.replace(
         v.z,
         m=m,
-        Q=ca.if_else(finite, Q_after, ca.vec(ca.densify(v.Q0))),
+        Q=ca.if_else(ca.logic_and(finite, ca.logic_not(anew)), Q_after, first),
         m_filtered=m,
-        before=s.m,
+        before=ca.if_else(said.restart, q.guess, s.m),
         undoable=1,
         innovation=innovation,
-        status=status,
+        watch=said.memory,
         certified=certified,
         rate=rate,
         rejected=s.rejected + rejected,
         failures=s.failures + ca.logic_not(finite),
+        restarts=s.restarts + anew,
     )
-    return ca.Function("jump", [v.z, v.u, v.p, v.t], [after])
+    nominal = ca.DM([variable.nominal for variable in line.variables])
+    status = worst(
+        (incomplete, CODE.sample_rejected),
+        *said.cases,
+        (ca.sum1(v.deviations(v.state.unpack(after)) > q.deviation_limit * nominal) > 0, CODE.uncertain),
+        (ca.logic_not(finite), CODE.solver_failed),
+    )
+    return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)])
 
 
 def _certified(v: Parts, m: Any, incomplete: Any) -> tuple[Any, Any]:

@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from observers import ports, units
+from observers import ports
 from observers.component import Component, Port
 from observers.linearisation import prediction_step, refuse_unobservable
 from observers.model import Model, refuse
 from observers.ukf import steps
+from observers.vigilance import TUNING
 
 KAPPA = Port(
     "tuning.kappa",
@@ -62,12 +63,13 @@ def ukf(
     period = ports.sample_time("ukf", sample_time)
     estimated = (*model.states, *model.unknown_parameters)
     tuning = (
-        *ports.deviations("ukf", "process_noise", ports.PROCESS_NOISE, estimated, process_noise, 1e-3),
+        *ports.process_noise("ukf", model, process_noise, sample_time),
         *ports.deviations("ukf", "measurement_noise", ports.MEASUREMENT_NOISE, model.outputs, measurement_noise, 0.1),
         *ports.deviations("ukf", "initial_std", ports.INITIAL_STD, estimated, initial_std, 1.0, "fixed"),
         KAPPA,
+        *TUNING,
     )
-    v = steps.parts(model)
+    v = steps.parts(model, measurement_noise is not None)
     return Component(
         name=name or f"{model.name}_ukf",
         description=f"Square-root unscented Kalman filter for {model.name}",
@@ -81,16 +83,9 @@ def ukf(
             *ports.estimates(model),
             *ports.VERDICT,
             *ports.innovations(model),
-            *(
-                Port(
-                    f"diagnostics.std.{v.name}",
-                    f"standard deviation of the estimated {v.description or v.name}",
-                    units.difference(v.unit),
-                    nominal=v.nominal,
-                )
-                for v in estimated
-            ),
+            *ports.standard_deviations(model),
             *ports.COUNTERS,
+            ports.RESTARTS,
         ),
         sample_time="sample_time",
         samples_inputs=True,

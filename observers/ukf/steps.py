@@ -9,13 +9,15 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
-from observers.model import Model
+from observers.bounds import conditioned, projected
+from observers.model import Model, Variable
 from observers.numerics import linear
 from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
 from observers.status import CODE, worst
-from observers.status import shown as verdict
+from observers.status import shown as verdict_shown
+from observers.vigilance import Watch, verdict
 
 NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
 
@@ -25,6 +27,7 @@ class Parts:
     """The filter's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name."""
 
     model: Model
+    watch: Watch
     state: Layout
     z: Any
     u: Any
@@ -36,9 +39,13 @@ class Parts:
     read: ports.Inputs
 
     @property
+    def variables(self) -> tuple[Variable, ...]:
+        """What is estimated: states and unknown parameters."""
+        return (*self.model.states, *self.model.unknown_parameters)
+
+    @property
     def n(self) -> int:
-        """Estimated states and unknown parameters."""
-        return len(self.model.states) + len(self.model.unknown_parameters)
+        return len(self.variables)
 
     @property
     def n_points(self) -> int:
@@ -54,9 +61,25 @@ class Parts:
         n, kappa = self.n, self.q.kappa
         return ca.vertcat(kappa / (n + kappa), ca.repmat(1 / (2 * (n + kappa)), 2 * n, 1))
 
-    def around(self, mean: Any) -> Any:
-        """The points of a mean that is as uncertain as the guess."""
-        return _points(mean, ca.diag(self.q.spread), self.q.kappa)
+    def around(self, mean: Any, watch: Any) -> Any:
+        """The points of a mean that is as uncertain as the guess; `watch`, what the watch keeps."""
+        return self.drawn(mean, ca.diag(ca.sqrt(self.watch.again(watch)) * self.q.spread))
+
+    def drawn(self, mean: Any, root: Any) -> Any:
+        """The sigma points (n x n_points) of mean (n) and root (n x n), P = root root', within the bounds."""
+        wide = ca.sqrt(self.n + self.q.kappa) * root
+        center = ca.repmat(mean, 1, self.n)
+        return projected(self.variables, ca.horzcat(mean, center + wide, center - wide))
+
+    def deviations(self, s: SimpleNamespace) -> Any:
+        """The standard deviations (n) of the estimate in the state `s`, with the process noise since the last sample.
+
+        The points take that in at the next sample only.
+        """
+        points = ca.reshape(s.points, self.n, self.n_points)
+        off = points - ca.repmat(ca.mtimes(points, self.weights), 1, self.n_points)
+        variances = ca.mtimes(off**2, self.weights) + self.q.noise**2 * s.elapsed
+        return self.watch.deviations(s.watch, variances)
 
     def at(self, function: ca.Function, x: Any, time: Any) -> Any:
         """`function` of the model's arguments at the point x."""
@@ -65,28 +88,36 @@ class Parts:
         return function(part.x, part.theta, self.read.known, self.q.model, time)
 
 
-def parts(model: Model) -> Parts:
+def parts(model: Model, noise_known: bool) -> Parts:
     n, ny = len(model.states) + len(model.unknown_parameters), len(model.outputs)
+    watch = Watch(model, n, known=noise_known)
     state = Layout(
-        points=n * (2 * n + 1), filtered=n, before=n, undoable=1, innovation=ny, status=1, rejected=1, failures=1
-    )
-    settings = Layout(guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, sample_time=1)
+        points=n * (2 * n + 1), elapsed=1, filtered=n, before=n, undoable=1, innovation=ny, watch=watch.state.total, status=1, rejected=1,
+        failures=1, restarts=1,
+    )  # fmt: skip
+    settings = Layout(
+        guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, false_alarm=1, deviation_limit=1, gate=1,
+        sample_time=1,
+    )  # fmt: skip
     z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model)), ca.SX.sym("p", settings.total)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    return Parts(model, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u))
+    return Parts(model, watch, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u))
 
 
 def start(v: Parts) -> ca.Function:
     """start(p, t0) -> z: the points of the guess."""
     first = {
-        "points": ca.vec(v.around(v.q.guess)),
+        "points": ca.vec(v.around(v.q.guess, v.watch.start)),
+        "elapsed": ca.DM(0),  # since the last sample
         "filtered": v.q.guess,
         "before": v.q.guess,  # the prediction at the last sample, before it acted
         "undoable": ca.DM(0),  # whether to go back to it is worth a try
         "innovation": ca.DM.zeros(len(v.model.outputs)),
+        "watch": v.watch.start,
         "status": ca.DM(CODE.propagated_guess),
         "rejected": ca.DM(0),
         "failures": ca.DM(0),
+        "restarts": ca.DM(0),
     }
     return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
 
@@ -99,7 +130,9 @@ def flow(v: Parts) -> ca.Function:
     """
     s, eq, now = v.s, v.model.equations, v.points
     still = ca.SX.zeros(eq.theta.numel())
+    within = [projected(v.model.states, eq.x), projected(v.model.unknown_parameters, eq.theta)]
     rhs = ca.Function("rhs", [eq.x, eq.theta, eq.u, eq.p, eq.t], [ca.vertcat(eq.ode, still)])
+    rhs = ca.Function("within", [eq.x, eq.theta, eq.u, eq.p, eq.t], [rhs(*within, eq.u, eq.p, eq.t)])
     moved = ca.horzcat(
         *[runge_kutta(lambda x, time: v.at(rhs, x, time), now[:, i], v.t, v.h) for i in range(v.n_points)]
     )
@@ -107,7 +140,8 @@ def flow(v: Parts) -> ca.Function:
     back = ca.if_else(s.undoable, s.before, v.q.guess)
     after = v.state.replace(
         v.z,
-        points=ca.vec(ca.if_else(sound, moved, v.around(back))),
+        points=ca.vec(ca.if_else(sound, projected(v.variables, moved), v.around(back, s.watch))),
+        elapsed=s.elapsed + v.h,
         filtered=ca.if_else(sound, s.filtered, back),
         undoable=ca.logic_and(s.undoable, sound),
         status=ca.if_else(sound, s.status, CODE.solver_failed),
@@ -122,47 +156,75 @@ def jump(v: Parts) -> ca.Function:
     eq, ny = v.model.equations, len(v.model.outputs)
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
     mean, root = _moments(v.points, weights, ca.diag(q.noise * ca.sqrt(q.sample_time)))
-    drawn = _points(mean, root, q.kappa)
+    drawn = v.drawn(mean, root)
     seen = ca.horzcat(*[v.at(measure, drawn[:, i], v.t) for i in range(n_points)])
+    if any(output.wrap for output in v.model.outputs):  # on the circle, around the prediction
+        near = seen[:, 0]
+        seen = ca.horzcat(*[near + ports.wrapped(v.model, seen[:, i] - near) for i in range(n_points)])
     expected = ca.mtimes(seen, weights)
-    valid, rejected = ports.judged(read.y, read.offered)
-    innovation = ca.if_else(valid, read.y - expected, 0)
+    residual = ports.wrapped(v.model, read.y - expected)
+    valid, rejected = ports.judged(residual, read.offered)
+    innovation = ca.if_else(valid, residual, 0)
     dx = drawn - ca.repmat(mean, 1, n_points)
-    dy = ca.diag(ca.SX(valid)) @ (seen - ca.repmat(expected, 1, n_points))
-    K, root_after = _gain(dx, dy, weights, ca.diag(ca.if_else(valid, q.sensor, 1)), valid)
-    corrected = mean + ca.mtimes(K, innovation)
-    redrawn = _points(corrected, root_after, q.kappa)
+    off = seen - ca.repmat(expected, 1, n_points)
+    variances = ca.mtimes(off**2, weights) + q.sensor**2
+    outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
+    acting = ca.logic_and(valid, ca.logic_not(outlying))
+    dy, heard = ca.diag(ca.SX(acting)) @ off, ca.if_else(acting, innovation, 0)
+    K, root_after, squared = _gain(dx, dy, weights, ca.diag(ca.if_else(acting, q.sensor, 1)), acting, heard)
+    said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
+    corrected = conditioned(v.variables, mean + ca.mtimes(K, heard), ca.mtimes(root_after, root_after.T))
+    redrawn = v.drawn(corrected, root_after)
     # A correction that fails leaves the prediction; after a second one in a row the points start again around the guess.
     finite = ca.sumsqr(ca.vertcat(ca.vec(redrawn), innovation)) < HUGE
-    again = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(drawn) < HUGE))
-    left = ca.if_else(again, v.around(q.guess), drawn)
-    status = worst((ca.sum1(valid) < ny, CODE.sample_rejected), (ca.logic_not(finite), CODE.solver_failed))
+    lost = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(drawn) < HUGE))
+    lost = ca.logic_or(ca.logic_and(lost, ca.logic_not(finite)), said.restart)
+    anew = ca.logic_or(lost, said.inflate)
+    estimate = ca.if_else(lost, q.guess, ca.if_else(finite, corrected, mean))
+    points = ca.if_else(anew, v.around(estimate, said.memory), ca.if_else(finite, redrawn, drawn))
     after = v.state.pack(
         {
-            "points": ca.vec(ca.if_else(finite, redrawn, left)),
-            "filtered": ca.if_else(finite, corrected, left[:, 0]),
-            "before": ca.if_else(again, q.guess, mean),
+            "points": ca.vec(points),
+            "elapsed": ca.DM(0),
+            "filtered": estimate,
+            "before": ca.if_else(lost, q.guess, mean),
             "undoable": ca.DM(1),
             "innovation": kept(innovation, 0),
-            "status": status,
+            "watch": said.memory,
+            "status": s.status,
             "rejected": s.rejected + rejected,
             "failures": s.failures + ca.logic_not(finite),
+            "restarts": s.restarts + ca.logic_or(said.inflate, said.restart),
         }
     )
-    return ca.Function("jump", [v.z, v.u, v.p, v.t], [after], {"cse": True})
+    nominal = ca.DM([variable.nominal for variable in v.variables])
+    status = worst(
+        (ca.sum1(valid) < ny, CODE.sample_rejected),
+        *said.cases,
+        (ca.sum1(v.deviations(v.state.unpack(after)) > q.deviation_limit * nominal) > 0, CODE.uncertain),
+        (ca.logic_not(finite), CODE.solver_failed),
+    )
+    return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)], {"cse": True})
 
 
 def output(v: Parts) -> ca.Function:
     """output(z, u, p, t) -> y: mean and standard deviations now, and what the last sample left."""
-    s, now, weights = v.s, v.points, v.weights
-    current = ca.mtimes(now, weights)
-    deviation = ca.sqrt(ca.mtimes((now - ca.repmat(current, 1, v.n_points)) ** 2, weights))
-    shown = [current, s.filtered, verdict(s.status), s.innovation, deviation, s.rejected, s.failures]
+    s, current = v.s, ca.mtimes(v.points, v.weights)
+    shown = [
+        current,
+        s.filtered,
+        verdict_shown(s.status),
+        s.innovation,
+        v.deviations(s),
+        s.rejected,
+        s.failures,
+        s.restarts,
+    ]
     return ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)])
 
 
-def _gain(dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any) -> tuple[Any, Any]:
-    """The gain K (n x ny), and the square root (n x n) of the covariance after the sample.
+def _gain(dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any, innovation: Any) -> tuple[Any, Any, Any]:
+    """The gain K (n x ny), the square root (n x n) of the covariance after the sample, and nu' S^-1 nu of the innovation nu (ny).
 
     An output that the others leave no uncertainty in, such as the second of two perfect sensors, has nothing to add: its part of K is 0.
     """
@@ -174,15 +236,8 @@ def _gain(dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any) -> tuple[
     half = linear.right_solve(Sy.T, Pxy)  # Pxy = K Sy Sy': upper triangle Sy' first, then Sy by the transposed problem
     K = linear.left_transposed(Sy, half)
     columns = (ca.mtimes(dx - ca.mtimes(K, dy), rooted), ca.mtimes([K, ca.diag(ca.SX(valid)), noise_root]))
-    return K, linear.square_root(ca.horzcat(*columns))
-
-
-def _points(mean: Any, root: Any, kappa: Any) -> Any:
-    """The sigma points (n x (2 n + 1)) of mean (n) and root (n x n), P = root root'."""
-    n = root.shape[0]
-    wide = ca.sqrt(n + kappa) * root
-    center = ca.repmat(mean, 1, n)
-    return ca.horzcat(mean, center + wide, center - wide)
+    squared = ca.sumsqr(linear.right_solve(Sy.T, innovation.T))
+    return K, linear.square_root(ca.horzcat(*columns)), squared
 
 
 def _moments(points: Any, weights: Any, noise_root: Any) -> tuple[Any, Any]:

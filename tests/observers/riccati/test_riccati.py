@@ -50,7 +50,7 @@ def test_a_rejected_output_leaves_the_estimate_to_the_others_and_all_rejected_to
     none.set("y1", math.nan)
     for run in (one, none):
         run.step(0.0, 0.1)
-        assert run.get("diagnostics.status") == CODE.sample_rejected
+        assert run.get("diagnostics.status") >= CODE.sample_rejected  # or what is graver, such as the start
         assert run.get("diagnostics.rejected_samples") == 1
         assert np.isfinite(run.z).all()
     np.testing.assert_allclose(

@@ -56,7 +56,7 @@ def test_on_a_linear_model_it_is_the_kalman_filter_with_missing_samples_too(miss
         x, P = F @ x + G * u, F @ P @ F.T
         np.testing.assert_allclose([run_ukf.get("estimate.x1"), run_ukf.get("estimate.x2")], x, atol=1e-9)
         found = [run_ukf.get("diagnostics.std.x1"), run_ukf.get("diagnostics.std.x2")]
-        np.testing.assert_allclose(found, np.sqrt(np.diag(P)), atol=1e-9)
+        np.testing.assert_allclose(found, np.sqrt(np.diag(P + Q * TS)), atol=1e-9)
 
 
 def test_its_errors_are_as_large_as_its_covariance_says() -> None:
@@ -94,19 +94,22 @@ def test_its_errors_are_as_large_as_its_covariance_says() -> None:
     assert 0.5 < np.mean(squares) < 1.6, np.mean(squares)
 
 
-def test_it_follows_the_papers_jumps_with_process_noise_and_freezes_without(
+def test_it_follows_the_papers_jumps_with_process_noise_and_starts_again_without(
     catalogue_system: Callable[[str], Path],
 ) -> None:
+    """A theta that may not wander freezes, as in the paper; the filter says so within a sample and starts again within a second."""
     system = catalogue_system("gong_example_2_ukf")
     tracking = run(system)
     frozen = run(system, overrides={"observer.tuning.process_noise.theta": 0.0})
-    for result, small in ((tracking, True), (frozen, False)):
-        error = np.abs(result["observer.estimate.theta"] - result["plant.x.theta"])
-        assert error[95:100].max() < 1e-3  # a fixed theta is found by both
-        for settled in (slice(150, 200), slice(250, 300)):
-            assert (error[settled].max() < 1e-4) == small
+    for result, small in ((tracking, 1e-4), (frozen, 1e-3)):
+        theta = np.abs(result["observer.estimate.theta"] - result["plant.x.theta"])
         x1 = np.abs(result["observer.estimate.x1"] - result["plant.x.x1"])
-        assert (x1[150:200].max() < 1e-5) == small
+        for settled in (slice(95, 100), slice(150, 200), slice(250, 300)):
+            assert theta[settled].max() < 10 * small and x1[settled].max() < small
+    stuck = slice(102, 111)
+    assert np.abs(frozen["observer.estimate.theta"] - 0.4)[stuck].max() < 1e-3
+    assert not frozen["observer.diagnostics.trusted"][stuck].any()
+    assert tracking["observer.diagnostics.restarts"][-1] == 0 and frozen["observer.diagnostics.restarts"][-1] == 2
 
 
 def test_the_python_face_and_the_fmu_agree(catalogue_system: Callable[[str], Path]) -> None:
@@ -123,10 +126,11 @@ def test_the_python_face_and_the_fmu_agree(catalogue_system: Callable[[str], Pat
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
 def test_a_measurement_that_is_not_finite_is_rejected_and_counted(catalogue_slave: Callable, bad: float) -> None:
-    o = catalogue_slave("duffing_ukf").initialize()
+    o, p = catalogue_slave("duffing_ukf").initialize(), Instance(FMUS["duffing"][0]())
     for k in range(30):
-        o.set("y", bad if k == 20 else 2.0 * np.cos(0.3 * k))
+        o.set("y", bad if k == 20 else p.get("y"))
         before = o.get("estimate.x1")
+        p.step(0.1 * k, 0.1)
         o.step(0.1 * k, 0.1)
         if k == 20:
             assert o.get("diagnostics.status") == CODE.sample_rejected

@@ -1,0 +1,197 @@
+"""What a filter makes of its innovations: outliers gated, contradictions told, and a way back where the estimate is wrong.
+
+An innovation nu (ny) of covariance S is tested in three ways, each in units of what it is believed to be:
+
+- One output of a sample farther than `tuning.gate` standard deviations from its prediction is an outlier: it does not act.
+- The tests of `consistency` decide whether estimate and samples contradict each other: status `inconsistent`.
+- `doubt`, a cumulative sum (Page, Biometrika 41, 1954) of the clipped nu' S^-1 nu / dof above a drift, tells a run of outliers from single
+  ones: then the estimate is wrong, not the sensor. The covariance starts again around the estimate; where that does not help, the estimate
+  starts again at the guess. Each try has more patience than the one before it, until the estimate holds.
+
+Where nobody says what the measurement noise is, the matrices of a design fix the gain only: scaled all by one factor, they give the same
+estimate. The factor is estimated from the innovations, `level`, and the deviations shown are in its scale. While the samples contradict the
+estimate it hardly grows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+
+from observers import ports
+from observers.component import Port
+from observers.model import Model
+from observers.numerics.consistency import memory_size, tested
+from observers.numerics.finite import HUGE, finite
+from observers.numerics.layout import Layout
+from observers.status import CODE
+
+GATE = Port(
+    "tuning.gate",
+    "standard deviations of an innovation beyond which a measurement is an outlier, and does not act",
+    start=10.0,
+    min=3.0,
+    variability="tunable",
+)
+TUNING = (ports.FALSE_ALARM, ports.DEVIATION_LIMIT, GATE)
+
+LARGEST, DRIFT, THRESHOLD = 8.0, 2.5, 60.0  # of `doubt`: eleven samples in a row far off; noise alone does not reach it
+PATIENCE = 2.0  # from the second try on, times the threshold
+PROVEN = 100  # samples after a restart that end it
+LOSS, MOST_DISTRUST = 4.0, 500.0  # trust is away for so many samples for each that contradicted, and so many at most
+PROBATION = 1000.0  # the same after a restart of a paper's design, which follows what it is given for very long
+EARNED = 20  # samples in a row that fit, after which trust can be lost for longer than a sample
+MEMORY = 100  # samples, of `level`
+MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
+FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
+ROUNDING = 1e-9  # of a nominal value: what an innovation is at least
+UNSAID = 1e-2  # the same where nobody says what the measurement noise is
+
+
+@dataclass(frozen=True)
+class Watch:
+    """The tests of the filter of a model with n estimates.
+
+    `known`: the measurement noise was given. `weighted`: the design is a paper's matrices, which fix the gain only.
+    """
+
+    model: Model
+    n: int
+    known: bool
+    weighted: bool = False
+
+    @property
+    def settle(self) -> int:
+        """Samples after a start until the estimate counts."""
+        return 2 * self.n if self.known else max(2 * self.n, FINDING)
+
+    @property
+    def state(self) -> Layout:
+        return Layout(
+            tests=memory_size(len(self.model.outputs)),
+            level=1,
+            unit=1,
+            peak=1,
+            doubt=1,
+            quiet=1,
+            distrust=1,
+            age=1,
+            tries=1,
+            restarted=1,
+        )
+
+    @property
+    def start(self) -> Any:
+        return self.state.pack(
+            {
+                name: (ca.DM.ones if name in ("level", "unit", "peak") else ca.DM.zeros)(n)
+                for name, n in self.state.sizes.items()
+            }
+        )
+
+    def deviations(self, memory: Any, variances: Any) -> Any:
+        """Standard deviations of the `variances` of a covariance as the filter has it; finite whatever it has."""
+        return ca.sqrt(ca.fmin(ca.fmax(self.state.unpack(memory).unit * variances, 0), HUGE))
+
+    def again(self, memory: Any) -> Any:
+        """The factor of the first covariance where the estimate starts again.
+
+        The scale of weights has come down to the innovations since the start; the first covariance is as large again as that of the start
+        turned out to be.
+        """
+        s = self.state.unpack(memory)
+        return s.peak / s.unit if self.weighted else 1
+
+    def gated(self, memory: Any, innovation: Any, variances: Any, valid: Any, gate: Any) -> Any:
+        """Which of the `valid` outputs (ny) are outliers; `variances` (ny), the diagonal of S."""
+        s = self.state.unpack(memory)
+        far = innovation**2 > gate**2 * self._unit(s.level, variances) * variances
+        return ca.logic_and(ca.logic_and(valid, far), s.age >= self.settle)
+
+    def _unit(self, level: Any, variances: Any) -> Any:
+        """`level`, so large that no innovation is believed to be smaller than rounding, or what is unsaid, leaves it."""
+        least = ca.DM([(ROUNDING if self.known else UNSAID) * v.nominal for v in self.model.outputs])
+        return ca.fmax(level, ca.mmax(least**2 / ca.fmax(variances, 1e-300)))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`memory` after the sample; `inflate`, `restart`: what is to be done; `cases`: (condition, code) for `status.worst`."""
+
+    memory: Any
+    inflate: Any
+    restart: Any
+    cases: tuple[tuple[Any, int], ...]
+
+
+def verdict(
+    watch: Watch,
+    memory: Any,
+    squared: Any,
+    innovation: Any,
+    variances: Any,
+    valid: Any,
+    outlying: Any,
+    tuning: SimpleNamespace,
+) -> Verdict:
+    """The verdict on a sample.
+
+    Args:
+        memory: `watch.state`, of the last sample.
+        squared: nu' S^-1 nu over the outputs that acted.
+        innovation, variances, valid, outlying: (ny); the diagonal of S; which outputs were measured, and which of these are outliers.
+        tuning: with `false_alarm`.
+    """
+    s = watch.state.unpack(memory)
+    unit = watch._unit(s.level, variances)
+    each = innovation**2 / ca.fmax(variances, 1e-300)
+    whole = squared + ca.sum1(ca.if_else(outlying, each, 0))
+    dof = ca.sum1(valid)
+    normalised = ca.if_else(valid, innovation / ca.sqrt(ca.fmax(unit * variances, 1e-300)), 0)
+    result = tested(s.tests, whole / unit, normalised, valid, tuning.false_alarm)
+    raised = ca.logic_or(result.lately, ca.logic_and(result.alone, ca.sum1(outlying) == 0))
+    mean = whole / ca.fmax(dof, 1)
+    settled = s.age >= watch.settle
+
+    ratio = ca.if_else(finite(mean / unit), ca.fmin(mean / unit, LARGEST), LARGEST)
+    doubt = ca.if_else(ca.logic_and(settled, dof > 0), ca.fmax(s.doubt + ratio - DRIFT, 0), s.doubt)
+    again = doubt > THRESHOLD * ca.if_else(s.tries > 0, PATIENCE, 1)
+    restart = ca.logic_and(again, s.tries == 1)
+    tries = ca.if_else(again, 1 + restart, ca.if_else(s.age >= PROVEN, 0, s.tries))
+    contradicted = ca.logic_or(raised, again)
+    quiet = ca.if_else(s.quiet >= EARNED, EARNED, ca.if_else(contradicted, 0, s.quiet + (dof > 0)))
+    more = ca.fmax(ca.fmin(s.distrust + LOSS, ca.if_else(quiet >= EARNED, MOST_DISTRUST, LOSS)), s.distrust)
+    distrust = ca.if_else(contradicted, more, ca.fmax(s.distrust - (dof > 0), 0))
+    if watch.weighted:
+        distrust = ca.if_else(again, PROBATION, distrust)
+
+    beginning = ca.logic_and(s.restarted == 0, s.age < FINDING)
+    most = ca.if_else(beginning, HUGE, ca.if_else(raised, 2.0, LARGEST) * s.level)
+    heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
+    rate = 1 / ca.if_else(s.restarted, MEMORY, ca.fmin(s.age + 1, MEMORY))
+    level = 1 if watch.known else ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
+    peak = ca.if_else(beginning, ca.fmax(s.peak, level), s.peak)
+    level = ca.fmin(level, MOST_LEVEL * peak)
+    after = watch.state.pack(
+        {
+            "tests": ca.if_else(again, 0, result.memory),
+            "level": level,
+            "unit": 1 if watch.known else watch._unit(level, variances),
+            "peak": peak,
+            "doubt": ca.if_else(again, 0, doubt),
+            "quiet": quiet,
+            "distrust": distrust,
+            "age": ca.if_else(again, 0, ca.fmin(s.age + (dof > 0), PROVEN)),
+            "tries": tries,
+            "restarted": ca.logic_or(s.restarted, again),
+        }
+    )
+    cases = (
+        (ca.sum1(outlying) > 0, CODE.outlier),
+        (ca.logic_not(settled), CODE.settling),
+        (ca.logic_or(contradicted, distrust > LOSS), CODE.inconsistent),
+    )
+    return Verdict(after, ca.logic_and(again, ca.logic_not(restart)), restart, cases)
