@@ -31,7 +31,7 @@ from observers.status import CODE
 
 GATE = Port(
     "tuning.gate",
-    "standard deviations of an innovation beyond which a measurement is an outlier, and does not act",
+    "standard deviations of an innovation beyond which a measurement is an outlier, and does not act; from 1e6 on no estimate starts again",
     start=10.0,
     min=3.0,
     variability="tunable",
@@ -46,6 +46,7 @@ PROBATION = 1000.0  # the same after a restart of a paper's design, which follow
 EARNED = 20  # samples in a row that fit, after which trust can be lost for longer than a sample
 MEMORY = 100  # samples, of `level`
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
+NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
 ROUNDING = 1e-9  # of a nominal value: what an innovation is at least
 UNSAID = 1e-2  # the same where nobody says what the measurement noise is
@@ -143,7 +144,7 @@ def verdict(
         memory: `watch.state`, of the last sample.
         squared: nu' S^-1 nu over the outputs that acted.
         innovation, variances, valid, outlying: (ny); the diagonal of S; which outputs were measured, and which of these are outliers.
-        tuning: with `false_alarm`.
+        tuning: with `false_alarm` and `gate`.
     """
     s = watch.state.unpack(memory)
     unit = watch._unit(s.level, variances)
@@ -158,7 +159,7 @@ def verdict(
 
     ratio = ca.if_else(finite(mean / unit), ca.fmin(mean / unit, LARGEST), LARGEST)
     doubt = ca.if_else(ca.logic_and(settled, dof > 0), ca.fmax(s.doubt + ratio - DRIFT, 0), s.doubt)
-    again = doubt > THRESHOLD * ca.if_else(s.tries > 0, PATIENCE, 1)
+    again = ca.logic_and(doubt > THRESHOLD * ca.if_else(s.tries > 0, PATIENCE, 1), tuning.gate < NEVER)
     restart = ca.logic_and(again, s.tries == 1)
     tries = ca.if_else(again, 1 + restart, ca.if_else(s.age >= PROVEN, 0, s.tries))
     contradicted = ca.logic_or(raised, again)

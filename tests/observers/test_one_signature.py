@@ -68,6 +68,9 @@ def kalman(count: int, *, forget: bool) -> Iterator[np.ndarray]:
         yield m
 
 
+TEXTBOOK = {"tuning.gate": 1e9}  # measurements of no motion act all the same
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Component], Path]:
     """The unpacked FMU of a component."""
@@ -93,7 +96,7 @@ def driven(fmu: Slave, count: int) -> Iterator[np.ndarray]:
 def test_the_riccati_observer_given_deviations_is_the_kalman_filter_with_samples_missing(
     made: Callable[[Component], Path],
 ) -> None:
-    fmu = Slave(made(riccati(PLANE, sample_time=TS, **BY_NAME))).initialize()
+    fmu = Slave(made(riccati(PLANE, sample_time=TS, **BY_NAME))).initialize(TEXTBOOK)
     assert_allclose(list(driven(fmu, 80)), list(kalman(80, forget=True)), rtol=0, atol=1e-9)
     assert fmu.get("diagnostics.rejected_samples") == 0  # a sample that never came is not a rejected one
     fmu.fmu.freeInstance()
@@ -102,7 +105,7 @@ def test_the_riccati_observer_given_deviations_is_the_kalman_filter_with_samples
 def test_the_ukf_given_deviations_is_the_kalman_filter_with_samples_missing(made: Callable[[Component], Path]) -> None:
     """Process noise enters the UKF at the samples, not along the interval: without it the two are the same."""
     still = {**BY_NAME, "process_noise": dict.fromkeys(NAMES, 0.0)}
-    fmu = Slave(made(ukf(PLANE, sample_time=TS, **still))).initialize()
+    fmu = Slave(made(ukf(PLANE, sample_time=TS, **still))).initialize(TEXTBOOK)
     assert_allclose(list(driven(fmu, 80)), list(kalman(80, forget=False)), rtol=0, atol=1e-9)
     fmu.fmu.freeInstance()
 
@@ -112,7 +115,7 @@ def test_least_squares_given_deviations_is_the_kalman_filter_without_process_noi
 ) -> None:
     """The first sample of an interval weighs half (the trapezoidal rule): with it alone missing, the two are the same."""
     by_name = {name: BY_NAME[name] for name in ("measurement_noise", "initial_std", "guess")}
-    fmu = Slave(made(least_squares(PLANE, sample_time=TS, T=100.0, **by_name))).initialize()
+    fmu = Slave(made(least_squares(PLANE, sample_time=TS, T=100.0, **by_name))).initialize(TEXTBOOK)
     y, there = samples(80)
     Phi = expm(A * TS)
     m, P = np.array([GUESS[v] for v in NAMES]), np.diag([INITIAL[v] ** 2 for v in NAMES])
@@ -132,7 +135,9 @@ def test_least_squares_given_deviations_is_the_kalman_filter_without_process_noi
 
 
 def test_after_a_reset_least_squares_trusts_its_estimate_by_the_initial_deviations_again() -> None:
-    run = Instance(least_squares(PLANE, sample_time=TS, T=10 * TS, measurement_noise=NOISE, initial_std=INITIAL))
+    run = Instance(
+        least_squares(PLANE, sample_time=TS, T=10 * TS, measurement_noise=NOISE, initial_std=INITIAL), TEXTBOOK
+    )
     y, _ = samples(11)
     for k in range(10):
         run.set("y1", y[k, 0])
@@ -144,7 +149,9 @@ def test_after_a_reset_least_squares_trusts_its_estimate_by_the_initial_deviatio
     run.set("measurement_valid.y2", 0)
     run.step(10 * TS, TS)
     P, H = np.diag([INITIAL[v] ** 2 for v in NAMES]), C[:1]
-    ended = Instance(least_squares(PLANE, sample_time=TS, T=100.0, measurement_noise=NOISE, initial_std=INITIAL))
+    ended = Instance(
+        least_squares(PLANE, sample_time=TS, T=100.0, measurement_noise=NOISE, initial_std=INITIAL), TEXTBOOK
+    )
     for k in range(10):
         ended.set("y1", y[k, 0])
         ended.set("y2", y[k, 1])

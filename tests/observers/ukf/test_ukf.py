@@ -37,7 +37,7 @@ TUNED = dict(
 @pytest.mark.parametrize("missing", [0.0, 0.3])
 @pytest.mark.parametrize("kappa", [0.0, 1.0, 3.0])
 def test_on_a_linear_model_it_is_the_kalman_filter_with_missing_samples_too(missing: float, kappa: float) -> None:
-    run_ukf = Instance(ukf(LINEAR, sample_time=TS, **TUNED), {"tuning.kappa": kappa})
+    run_ukf = Instance(ukf(LINEAR, sample_time=TS, **TUNED), {"tuning.kappa": kappa, "tuning.gate": 1e9})
     rng = np.random.default_rng(1)
     x, P = np.zeros(2), P0
     for k in range(150):
