@@ -176,7 +176,7 @@ def jump(v: Parts) -> ca.Function:
     corrected = conditioned(v.variables, mean + ca.mtimes(K, heard), ca.mtimes(root_after, root_after.T))
     redrawn = v.drawn(corrected, root_after)
     # A correction that fails leaves the prediction; after a second one in a row the points start again around the guess.
-    finite = ca.sumsqr(ca.vertcat(ca.vec(redrawn), innovation)) < HUGE
+    finite = ca.sumsqr(ca.vertcat(ca.vec(redrawn), heard)) < HUGE
     lost = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(drawn) < HUGE))
     lost = ca.logic_or(ca.logic_and(lost, ca.logic_not(finite)), said.restart)
     anew = ca.logic_or(lost, said.inflate)
