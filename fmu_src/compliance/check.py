@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fmu_src.compliance.files import fmi3
 from fmu_src.compliance.files.binaries import check_binaries, host_library
-from fmu_src.compliance.files.description import Description, read, schema
+from fmu_src.compliance.files.description import INTERFACES, Description, read, schema
 from fmu_src.compliance.files.names import check_names
 from fmu_src.compliance.files.package import Package, check_archive, open_package, unpack
 from fmu_src.compliance.files.structure import check_document, check_fmpy, check_schema, check_structure
@@ -35,7 +35,7 @@ def check(fmu: Path, progress: Callable[[str], None] = lambda rule: None) -> Rep
         CannotCheck: the file cannot be checked (NotAnFmu), or the check's own processes failed.
     """
     package = open_package(fmu)
-    report = Report(fmu)
+    report = Report(fmu, package.version)
     try:
         _check_package(package, report, progress)
     except OSError as error:
@@ -98,7 +98,7 @@ def _check_library(directory: Path, description: Description, report: Report, pr
         report.checked += _LAYERED
         report.findings += check_manifest(directory)
     for interface in description.interfaces:
-        name = "co-simulation" if interface == "CoSimulation" else "model exchange"
+        name = INTERFACES[interface]
         library = host_library(description.identifiers[interface])
         if library is None or not (directory / library).is_file():
             report.notes.append(f"no binary for this machine ({library or 'no name for it'}): {name} was not driven")

@@ -45,9 +45,10 @@ class Finding:
 
 @dataclass
 class Report:
-    """What was found in one FMU. `checked`: the rules that were applied; `notes`: why others were not."""
+    """What was found in one FMU, of this version of FMI. `checked`: the rules that were applied; `notes`: why others were not."""
 
     fmu: Path
+    version: str = "2.0"
     checked: list[str] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

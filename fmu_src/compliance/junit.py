@@ -25,11 +25,12 @@ def write_junit(reports: list[Report], refused: Mapping[Path, str], path: Path) 
     Raises:
         OSError: it cannot be written.
     """
-    document = JUnitXml("FMI 2.0 compliance")
+    document = JUnitXml("FMI compliance")
     for report in reports:
         suite = TestSuite(report.fmu.name)
         for rule in report.checked:
-            case = TestCase(f"{rule} [{RULES[rule].section}]: {RULES[rule].demand}", classname=report.fmu.stem)
+            section = RULES[rule].section if report.version == "2.0" else RULES[rule].section3
+            case = TestCase(f"{rule} [{section}]: {RULES[rule].demand}", classname=report.fmu.stem)
             found = [finding for finding in report.findings if finding.rule == rule]
             if found:
                 case.result = [_failure(finding) for finding in found]
@@ -38,7 +39,7 @@ def write_junit(reports: list[Report], refused: Mapping[Path, str], path: Path) 
             suite.add_property(f"note {number}", note)
         document.add_testsuite(suite)
     for file, reason in refused.items():
-        case = TestCase("is an FMU of FMI 2.0", classname=file.stem)
+        case = TestCase("is an FMU that can be checked", classname=file.stem)
         case.result = [Error(reason)]
         suite = TestSuite(file.name)
         suite.add_testcase(case)

@@ -83,7 +83,11 @@ def host_library(identifier: str) -> str | None:
 
 
 def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    """The beginning of a text; none where there is no such file."""
+    if not path.is_file():
+        return ""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return file.read(1 << 20)
 
 
 def _check_platform(

@@ -55,7 +55,7 @@ class Variable:
         return self.causality == "input" or (self.causality == "parameter" and self.variability == "tunable")
 
 
-INTERFACES = ("CoSimulation", "ModelExchange")
+INTERFACES = {"CoSimulation": "co-simulation", "ModelExchange": "model exchange"}  # by element
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import string
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 
 from fmu_src.compliance.finding import Finding
@@ -13,7 +14,6 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 _INDEXED = r"[A-Za-z_]\w*(?:\[[0-9]+(?:,[0-9]+)*\])?"
 _ORDINARY = re.compile(rf"{_INDEXED}(?:\.{_INDEXED})*\Z", re.ASCII)  # most names, and quickly: without quotes and der
 _DERIVATIVE = re.compile(r"der\((.*?)(?:,[0-9]+)?\)\Z", re.DOTALL)
-_DOTS = re.compile(r"'(?:\\.|[^'\\])*'|(\.)", re.DOTALL)
 
 _LETTERS = frozenset(string.ascii_letters + "_")
 _DIGITS = frozenset(string.digits)
@@ -48,10 +48,16 @@ def check_names(convention: str, names: Sequence[str]) -> Iterator[Finding]:
         elif convention == "structured" and not is_structured(name):
             yield finding("variable-name", name, "a structured name", f"'{name}'")
     if convention == "structured":
-        below = {branch: name for name in names for branch in _branches(name)}
-        for name in names:
-            if name in below:
-                yield finding("name-branch", name, "no variable of this name beside those below it", f"'{below[name]}'")
+        yield from _branches(names)
+
+
+def _branches(names: Sequence[str]) -> Iterator[Finding]:
+    """In the order of characters, the names below a branch begin where the branch and a dot would be."""
+    ordered = sorted(set(names))
+    for name in names:
+        place = bisect_left(ordered, f"{name}.")
+        if place < len(ordered) and ordered[place].startswith(f"{name}."):
+            yield finding("name-branch", name, "no variable of this name beside those below it", f"'{ordered[place]}'")
 
 
 def is_structured(name: str) -> bool:
@@ -65,11 +71,3 @@ def is_structured(name: str) -> bool:
         if not states:
             return False
     return not _COMPLETE.isdisjoint(states)
-
-
-def _branches(name: str) -> Iterator[str]:
-    """a and a.b of a.b.c. Dots in quotes and in der(...) are no dots."""
-    if "." in name and not name.startswith("der("):
-        for dot in _DOTS.finditer(name):
-            if dot[1]:
-                yield name[: dot.start()]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+from fmu_src.compliance.files.description import INTERFACES
 from fmu_src.compliance.finding import Report
 from fmu_src.compliance.library import derivatives, lifecycle, messages, states, steps, values
 from fmu_src.compliance.library.calls import Subject
@@ -31,6 +33,9 @@ def check_dynamic(
 ) -> None:
     """Drive the FMU; findings, rules applied and notes go into `report`."""
     hangs = 0
+    # Which of two interfaces it is about stands behind the subject and in front of a note.
+    place = f" in {INTERFACES[subject.interface]}" if len(subject.description.interfaces) > 1 else ""
+    driven = Report(report.fmu, checked=report.checked)
 
     def make(case: Case) -> Outcome:
         nonlocal hangs
@@ -38,16 +43,17 @@ def check_dynamic(
         if case.rule not in report.checked:
             report.checked.append(case.rule)
         outcome = run(case, subject)
-        report.findings += outcome.findings
+        report.findings += [replace(found, subject=f"{found.subject}{place}") for found in outcome.findings]
         hangs += outcome.hung
         if hangs == _MOST_HANGS:
             raise _Enough
         return outcome
 
     try:
-        _drive(subject, experiments, report, make)
+        _drive(subject, experiments, driven, make)
     except _Enough:
-        report.notes.append(f"{_MOST_HANGS} calls did not come back, so no further rule was applied")
+        driven.notes.append(f"{_MOST_HANGS} calls did not come back, so no further rule was applied")
+    report.notes += [f"{place.strip()}: {note}" if place else note for note in driven.notes]
 
 
 def _drive(subject: Subject, experiments: list[Experiment], report: Report, make: Callable[[Case], Outcome]) -> None:

@@ -32,6 +32,8 @@ NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 NAME = "org.fmi-standard.fmi-ls-ref"
 EXPERIMENTS = "application/x-ma-hs-experiments"
 TOLERANCE = 1e-3  # of a column's largest or its nominal value, where the experiment names none
+MOST_STEPS = 1_000_000  # of an experiment
+MOST_BYTES = 16 << 20  # of a table
 _SAME_TIME = 1e-6  # of a step
 
 _ROLES = re.compile(
@@ -123,7 +125,8 @@ def _check_digest(related: etree._Element, source: str, file: Path) -> Iterator[
     if kind not in _DIGESTS:
         yield finding("ls-ref-manifest", source, f"a checksumType of {', '.join(_DIGESTS)}", f"'{kind}'")
         return
-    digest = hashlib.new(_DIGESTS[kind], file.read_bytes()).hexdigest()
+    with file.open("rb") as content:
+        digest = hashlib.file_digest(content, _DIGESTS[kind]).hexdigest()
     if digest != checksum.lower():
         yield finding("ls-ref-checksum", source, f"the {kind} {checksum.lower()}", digest)
 
@@ -155,7 +158,8 @@ def read_experiments(directory: Path, file: Path, subject: Subject) -> list[Expe
                 stimuli=None if stimuli is None else _table(directory, file, stimuli),
                 reference=reference,
             )
-            if not (experiment.step > 0 and experiment.start <= experiment.stop < math.inf):
+            steps = (experiment.stop - experiment.start) / experiment.step if experiment.step > 0 else math.inf
+            if not 0 <= steps <= MOST_STEPS:
                 times = f"{experiment.start:g} to {experiment.stop:g} by {experiment.step:g}"
                 raise ValueError(f"experiment {experiment.name} cannot be run from {times}")
             found.append(experiment)
@@ -170,6 +174,8 @@ def _table(directory: Path, file: Path, element: etree._Element) -> Table:
     if not table.is_relative_to(directory):
         raise ValueError(f"{source} is not in the FMU")
     try:
+        if table.stat().st_size > MOST_BYTES:
+            raise ValueError(f"larger than {MOST_BYTES >> 20} MiB")
         rows = list(csv.reader(io.StringIO(table.read_text(encoding="utf-8-sig"))))
         values = np.array([[float(cell) for cell in row] for row in rows[1:] if row], dtype=float)
         if values.ndim != 2 or values.shape[1] != len(rows[0]):

@@ -113,7 +113,8 @@ def _run(number: int, case: Case, subject: Subject | None, timeout: float, resul
     except Exception as error:  # a fault of the probe itself, or of the machine
         place = traceback.extract_tb(error.__traceback__)[-1]
         tell("b", json.dumps(f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"))
-    os._exit(0)
+    finally:  # the pipe may be gone
+        os._exit(0)
 
 
 def _probe(case: Case, subject: Subject | None, timeout: float, tell: Any) -> None:

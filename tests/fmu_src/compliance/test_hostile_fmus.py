@@ -111,13 +111,14 @@ def test_files_that_no_file_system_takes_are_one_line(make: Make) -> None:
     [
         ("MOST_BYTES", 1 << 10, "GiB are checked here"),
         ("MOST_BYTES_OF_DESCRIPTION", 1 << 10, "MiB are checked here"),
+        ("MOST_BYTES_OF_XML", 10, "extra/x.xml inflates to 0 MiB; at most 0 MiB are checked here"),
         ("MOST_FILES", 2, "holds 3 files; at most 2 are checked here"),
     ],
 )
 def test_what_inflates_beyond_a_limit_is_refused_before_it_is_inflated(
     make: Make, monkeypatch: pytest.MonkeyPatch, limit: str, value: int, words: str
 ) -> None:
-    path = make()
+    path = make({"extra/x.xml": b"<longer than="} if limit == "MOST_BYTES_OF_XML" else {})
     monkeypatch.setattr(package, limit, value)
     monkeypatch.setattr("zipfile.ZipFile.open", lambda *_: pytest.fail("it was inflated"))
     with pytest.raises(NotAnFmu, match=words):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from broken_fmus import EXCHANGE, Make, found
+from broken_fmus import BINARY, BROKEN, EXCHANGE, Make, compiled, found
 from fmu_src.compliance.check import check
+from fmu_src.compliance.files.binaries import functions
 from fmu_src.compliance.rules import RULES
 
 
@@ -27,6 +30,25 @@ DEFECTS_OF_MODEL_EXCHANGE = {rule: rule for rule in EXCHANGE} | {
 @pytest.mark.parametrize("defect", DEFECTS_OF_MODEL_EXCHANGE)
 def test_a_defect_of_model_exchange_is_found_by_its_rule_alone(make_exchange: Make, defect: str) -> None:
     assert found(make_exchange(defect=defect)) == {DEFECTS_OF_MODEL_EXCHANGE[defect]}
+
+
+def test_of_two_interfaces_a_finding_and_a_note_say_which(make_exchange: Make, tmp_path: Path) -> None:
+    source = (BROKEN / "exchange.c").read_text()
+    missing = sorted(functions("CoSimulation") - functions("ModelExchange"))
+    assert len(missing) == 9
+    stubs = "".join(f'__attribute__((visibility("default"))) int {name}(void);\n' for name in missing)
+    stubs += "".join(f"int {name}(void) {{ return 3; }}\n" for name in missing)
+    # The header declares them otherwise; what is never called may be a stub.
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "stubs.c").write_text(stubs)
+    library = compiled(tmp_path / "code", source=source)
+    both = {"<LogCategories>": '<CoSimulation modelIdentifier="broken"/><LogCategories>'}
+    report = check(make_exchange({BINARY: library}, both))
+    assert [str(finding) for finding in report.findings] == [
+        "instantiate [2.1.5] fmi2Instantiate in co-simulation: expected an instance; found a null pointer"
+    ]
+    assert report.notes == ["in co-simulation: the FMU cannot be run, so no further rule was applied"]
+    assert "event-mode" in report.checked
 
 
 def test_the_ball_bounces_where_its_indicator_changes_sign(make_exchange: Make) -> None:
