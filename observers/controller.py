@@ -7,10 +7,13 @@ from typing import Any
 
 import casadi as ca
 
+from observers.arguments import checked
 from observers.component import Component, Port
-from observers.model import ModelError, Names, Variable, column_of, listed
+from observers.expressions import evaluated
+from observers.model import Names, Variable, column_of
 
 
+@checked
 def controller(
     name: str,
     *,
@@ -38,12 +41,7 @@ def controller(
     x, p = ({v.name: ca.SX.sym(v.name) for v in variables} for variables in groups.values())
     t, h, z = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX(0, 1)
     where = f"controller '{name}'"
-    try:
-        values = listed(law(Names("input", x), Names("parameter", p), t))
-    except ModelError as error:
-        raise ModelError(f"{where}: {error}") from None
-    except Exception as error:  # a user's law can fail in any way; the message says where
-        raise ModelError(f"{where}: {type(error).__name__}: {error}") from error
+    values = evaluated(f"{where}, law", law, [Names("input", x), Names("parameter", p), t], "(x, p, t)")
     made = column_of(f"{where}, law", values, outputs)
     u, q = ca.vertcat(ca.SX(0, 1), *x.values()), ca.vertcat(ca.SX(0, 1), *p.values())
     return Component(

@@ -17,10 +17,13 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any, ClassVar
 
 import casadi as ca
+import numpy as np
 
+from observers.expressions import ModelError, described, evaluated
 from observers.numerics.equations import Equations
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -28,10 +31,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 BRANCHES = frozenset(
     {"actuator", "certificate", "diagnostics", "estimate", "feedback", "filtered", "guess", "measurement_valid"}
 ) | frozenset({"parameter", "sensor", "start", "structure", "tuning", "x", "z"})
-
-
-class ModelError(ValueError):
-    """The equations or the names of a model contradict each other; the message names what and where."""
+_GROUPS = ("states", "outputs", "inputs", "parameters", "unknown_parameters", "algebraic", "unknown_disturbances")
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,15 @@ class Variable:
     NEEDS_UNIT: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ModelError(f"a variable's name is a text, not {described(self.name)}")
+        for what in ("description", "unit"):
+            if not isinstance(getattr(self, what), str):
+                raise ModelError(f"variable '{self.name}': {what} is a text, not {described(getattr(self, what))}")
+        for what in ("start", "nominal", "min", "max"):
+            value = getattr(self, what)
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise ModelError(f"variable '{self.name}': {what} is a number, not {described(value)}")
         if self.NEEDS_UNIT and not self.unit:
             raise ModelError(
                 f"variable '{self.name}': unit = '' is no unit expression; a number without a unit has '1'"
@@ -65,6 +74,8 @@ class Variable:
             raise ModelError(f"variable '{self.name}': nominal = {self.nominal:g} must be greater than 0")
         if not (self.wrap >= 0 and math.isfinite(self.wrap)):
             raise ModelError(f"variable '{self.name}': wrap = {self.wrap:g} must be the period of an angle, or 0")
+        if self.min > self.max:
+            raise ModelError(f"variable '{self.name}': min = {self.min:g} is greater than max = {self.max:g}")
         if not self.min <= self.start <= self.max:
             raise ModelError(
                 f"variable '{self.name}': start = {self.start:g} lies outside [{self.min:g}, {self.max:g}]"
@@ -156,8 +167,9 @@ class Model:
         }
 
     def _check_names(self) -> None:
-        if not _NAME.match(self.name) or keyword.iskeyword(self.name):
+        if not isinstance(self.name, str) or not _NAME.match(self.name) or keyword.iskeyword(self.name):
             raise ModelError(f"model name {self.name!r} is not an identifier")
+        self._check_groups()
         seen: dict[str, str] = {}
         for group, variables in self._groups().items():
             for variable in variables:
@@ -180,6 +192,20 @@ class Model:
         if not self.outputs:
             raise ModelError(f"model '{self.name}' has no outputs")
 
+    def _check_groups(self) -> None:
+        for attribute in _GROUPS:
+            given = getattr(self, attribute)
+            example = f"{attribute}=[Variable(...), ...]"
+            if isinstance(given, (str, dict, Variable)) or not isinstance(given, Sequence):
+                raise ModelError(
+                    f"model '{self.name}': {attribute} is {described(given)}, where a list is wanted: {example}"
+                )
+            for i, variable in enumerate(given):
+                if not isinstance(variable, Variable):
+                    raise ModelError(
+                        f"model '{self.name}': entry {i + 1} of {attribute} is {described(variable)}, where a Variable is wanted: {example}"
+                    )
+
     def _build(self) -> Equations:
         def symbols(variables: Sequence[Variable]) -> dict[str, ca.SX]:
             return {v.name: ca.SX.sym(v.name) for v in variables}
@@ -193,13 +219,9 @@ class Model:
         arguments += [Names("input", u | w), Names("parameter", p | theta), t]
 
         def evaluate(what: str, equations: Callable[..., Iterable[Any]], variables: Sequence[Variable]) -> ca.SX:
-            try:
-                values = listed(equations(*arguments))
-            except ModelError as error:
-                raise ModelError(f"model '{self.name}', {what}: {error}") from None
-            except Exception as error:  # a user's equations can fail in any way; the message says where
-                raise ModelError(f"model '{self.name}', {what}: {type(error).__name__}: {error}") from error
-            return column_of(f"model '{self.name}', {what}", values, variables)
+            where = f"model '{self.name}', {what}"
+            values = evaluated(where, equations, arguments, "(x, z, u, p, t)" if self.algebraic else "(x, u, p, t)")
+            return column_of(where, values, variables)
 
         def column(group: dict[str, ca.SX]) -> ca.SX:
             return ca.vertcat(*group.values()) if group else ca.SX(0, 1)
@@ -258,17 +280,6 @@ class Model:
         return "\n".join(lines)
 
 
-def listed(returned: Any) -> list[Any]:
-    """The expressions that a user's function returned.
-
-    Raises:
-        ModelError: it is one by itself.
-    """
-    if isinstance(returned, (int, float, ca.DM, ca.SX)):
-        raise ModelError("a list of expressions is wanted, [...], not one by itself")
-    return list(returned)
-
-
 def column_of(where: str, values: Sequence[Any], variables: Sequence[Variable]) -> ca.SX:
     """The expressions `values`, one for each of `variables`, as a column.
 
@@ -278,10 +289,19 @@ def column_of(where: str, values: Sequence[Any], variables: Sequence[Variable]) 
     if len(values) != len(variables):
         names = ", ".join(v.name for v in variables)
         raise ModelError(f"{where}: {len(values)} expressions for {len(variables)} variables ({names})")
+    column = []
     for variable, value in zip(variables, values, strict=True):
-        if not isinstance(value, (int, float, ca.DM, ca.SX)) or ca.SX(value).shape != (1, 1):
-            raise ModelError(f"{where}: the expression for '{variable.name}' is not a scalar")
-    return ca.vertcat(*[ca.SX(v) for v in values]) if values else ca.SX(0, 1)
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.item()
+        if not isinstance(value, (Real, ca.DM, ca.SX)):
+            raise ModelError(f"{where}: the expression for '{variable.name}' is {described(value)}, not a scalar")
+        value = ca.SX(float(value) if isinstance(value, Real) else value)
+        if value.shape != (1, 1):
+            raise ModelError(
+                f"{where}: the expression for '{variable.name}' is not a scalar, its shape is {value.shape}"
+            )
+        column.append(value)
+    return ca.vertcat(*column) if column else ca.SX(0, 1)
 
 
 def refuse(model: Model, method: str, *features: str) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from observers import units
+from observers.arguments import checked
 from observers.component import Component, Failure, Port
 from observers.linearisation import prediction_step
 from observers.model import Model, Variable
@@ -22,6 +23,7 @@ _ALGEBRAIC = (
 )
 
 
+@checked
 def plant(
     model: Model,
     *,

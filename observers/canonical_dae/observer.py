@@ -26,6 +26,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from observers import ports
+from observers.arguments import checked
 from observers.canonical_dae import fault_detector, sample
 from observers.canonical_dae.bdf import MOST
 from observers.canonical_dae.dae import Dae, relaxed
@@ -39,6 +40,7 @@ from observers.model import Model, refuse
 CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
 
 
+@checked
 def canonical_dae(
     model: Model,
     *,

@@ -27,6 +27,7 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
+from observers.arguments import checked
 from observers.component import Component, Port
 from observers.elementary import ports as elementary_ports
 from observers.elementary.identifiability import describe as describe_null
@@ -43,6 +44,7 @@ from observers.status import CODE
 from observers.status import shown as verdict
 
 
+@checked
 def elementary(
     model: Model,
     *,

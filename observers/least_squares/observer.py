@@ -33,6 +33,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from observers import ports
+from observers.arguments import checked
 from observers.component import Component, Port
 from observers.least_squares import steps
 from observers.least_squares.weights import weights
@@ -57,6 +58,7 @@ CONTRACTION = (
 )
 
 
+@checked
 def least_squares(
     model: Model,
     *,

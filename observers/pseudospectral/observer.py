@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from observers import ports
+from observers.arguments import checked
 from observers.component import Component
 from observers.linearisation import prediction_step
 from observers.model import Model
@@ -40,6 +41,7 @@ from observers.pseudospectral.ports import (
 from observers.pseudospectral.ports import tuning as tuning_of
 
 
+@checked
 def pseudospectral(
     model: Model,
     *,

@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from observers import ports
+from observers.arguments import checked
 from observers.component import Component, Port
 from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_undetectable
 from observers.model import Model, refuse
@@ -41,6 +42,7 @@ INITIAL_ERROR = Port(
 )
 
 
+@checked
 def riccati(
     model: Model,
     *,

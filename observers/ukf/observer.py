@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from observers import ports
+from observers.arguments import checked
 from observers.component import Component, Port
 from observers.linearisation import prediction_step, refuse_unobservable
 from observers.model import Model, refuse
@@ -34,6 +35,7 @@ KAPPA = Port(
 )
 
 
+@checked
 def ukf(
     model: Model,
     *,
