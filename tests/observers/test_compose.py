@@ -164,7 +164,7 @@ def test_a_sample_time_that_can_be_zero_and_a_feedback_with_states_are_refused()
 def test_a_law_that_fails_says_where() -> None:
     for wrong, words in (
         (lambda x, p, t: [x.c, 0, 0], "controller 'law', law, line .*: there is no input 'c'; known: b, a"),
-        (lambda x, p, t: [p.k, 0, 0], "controller 'law': there is no parameter 'k'; known: gain"),
+        (lambda x, p, t: [p.k, 0, 0], "controller 'law', law, line .*: there is no parameter 'k'; known: gain"),
         (lambda x, p, t: [x.a, 1 / 0, 0], "controller 'law', law, line .*: ZeroDivisionError"),
         (lambda x, p, t: [x.a], "controller 'law', law: 1 expressions for 3 variables"),
     ):

@@ -5,6 +5,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.stats import chi2
 
 from moving_window import A, linear, sampled
 from observers.instance import Instance
