@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from commands.console import err, fail, say
+from cosim.whole import whole
 from fmu_src.compliance.check import check as check_fmu
 from fmu_src.compliance.finding import CannotCheck, Report, one_line
 from fmu_src.compliance.junit import write_junit
@@ -53,7 +54,8 @@ def check(
         _show(report)
     if junit is not None:
         try:
-            write_junit(reports, refused, junit)
+            with whole(junit) as unfinished:
+                write_junit(reports, refused, unfinished)
         except OSError as error:
             fail(f"{junit}: cannot be written: {error.strerror or error}", 2)
     if refused:

@@ -23,7 +23,7 @@ _SAME = 1e-3  # relative: of a directional derivative and finite differences
 
 
 def directional(fmu: Fmu) -> Iterator[Finding]:
-    """In co-simulation: outputs by inputs, in initialization mode. In model exchange: derivatives by states, in continuous-time mode."""
+    """In co-simulation outputs by inputs, in initialization mode; in model exchange derivatives and outputs by states and inputs."""
     if fmu.subject.interface == "ModelExchange":
         yield from _by_states(fmu)
     else:
@@ -31,38 +31,54 @@ def directional(fmu: Fmu) -> Iterator[Finding]:
 
 
 def _by_inputs(fmu: Fmu) -> Iterator[Finding]:
-    variables = fmu.subject.variables
-    knowns = [v for v in variables if v.causality == "input" and _is_continuous(v) and isinstance(v.start, float)]
     listed = set(fmu.subject.description.initial_unknowns)
-    unknowns = [v for v in variables if v.causality == "output" and _is_continuous(v) and v.index in listed]
+    unknowns = [variable for variable in _outputs(fmu) if variable.index in listed]
     instance = fmu.new().setup()
     instance.legal("fmi2EnterInitializationMode")
-    for known in knowns[:_MOST_KNOWNS]:
+    yield from _by_each_input(instance, unknowns, _inputs(fmu))
+
+
+def _by_states(fmu: Fmu) -> Iterator[Finding]:
+    instance = fmu.initialized()
+    assert isinstance(instance, ExchangeInstance)
+    unknowns = list({variable.name: variable for variable in [*_derivatives(instance), *_outputs(fmu)]}.values())
+    x = instance.vector("ContinuousStates")
+    for place, known in enumerate(_states(instance)[:_MOST_KNOWNS]):
+
+        def respond(value: float, place: int = place) -> np.ndarray:
+            moved = x.copy()
+            moved[place] = value
+            instance.set_states(moved)
+            return _values(instance, unknowns)
+
+        yield from _compare(instance, unknowns, known, float(x[place]), respond)
+        instance.set_states(x)
+    yield from _by_each_input(instance, unknowns, _inputs(fmu))
+
+
+def _by_each_input(instance: Instance, unknowns: list[Variable], inputs: list[Variable]) -> Iterator[Finding]:
+    for known in inputs[:_MOST_KNOWNS]:
 
         def respond(value: float, known: Variable = known) -> np.ndarray:
             instance.set(known, value)
-            return np.array(list(instance.read(unknowns).values()), dtype=float)
+            return _values(instance, unknowns)
 
         assert isinstance(known.start, float)
         yield from _compare(instance, unknowns, known, known.start, respond)
         instance.set(known, known.start)
 
 
-def _by_states(fmu: Fmu) -> Iterator[Finding]:
-    instance = fmu.initialized()
-    assert isinstance(instance, ExchangeInstance)
-    unknowns, states = _derivatives(instance), _states(instance)
-    x = instance.vector("ContinuousStates")
-    for place, known in enumerate(states[:_MOST_KNOWNS]):
+def _values(instance: Instance, variables: list[Variable]) -> np.ndarray:
+    return np.array(list(instance.read(variables).values()), dtype=float)
 
-        def respond(value: float, place: int = place) -> np.ndarray:
-            moved = x.copy()
-            moved[place] = value
-            instance.set_states(moved)
-            return instance.vector("Derivatives")
 
-        yield from _compare(instance, unknowns, known, float(x[place]), respond)
-        instance.set_states(x)
+def _inputs(fmu: Fmu) -> list[Variable]:
+    return [v for v in fmu.subject.variables if v.causality == "input" and _is_continuous(v) and v.start is not None]
+
+
+def _outputs(fmu: Fmu) -> list[Variable]:
+    outputs = [v for v in fmu.subject.variables if v.causality == "output" and _is_continuous(v)]
+    return list({variable.name: variable for variable in outputs}.values())
 
 
 def _compare(

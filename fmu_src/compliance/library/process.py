@@ -6,6 +6,7 @@ lines to one pipe: the case's number, a letter, and what belongs to it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pickle
@@ -27,6 +28,7 @@ from fmu_src.compliance.rules import finding
 TIMEOUT = 30.0  # [s] for a single call: one that takes longer hangs
 FORKS = hasattr(os, "fork")  # else a server is for one case
 _START = 120.0  # [s] for the server, on a machine however busy
+_END = 5.0  # [s] for the server to end its child and itself
 _LONGEST_LINE = 1 << 16
 _GARBAGE = "the FMU wrote into the pipe of the process that drives it"
 
@@ -98,8 +100,15 @@ class Server:
         return self._process.poll() is None
 
     def end(self) -> None:
-        self._process.kill()
-        self._process.wait()
+        """The server, and by it the child that it watches."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):  # what it was to read may be in the pipe still
+            self._process.stdin.close()
+        try:
+            self._process.wait(_END)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _read(self) -> None:
         pipe = self._process.stdout

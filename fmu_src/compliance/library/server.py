@@ -6,6 +6,7 @@ Forked from here, a child has everything imported and the FMU's description in m
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import json
 import os
@@ -13,6 +14,7 @@ import pickle
 import select
 import signal
 import struct
+import sys
 import traceback
 from importlib import import_module
 from pathlib import Path
@@ -25,6 +27,8 @@ from fmu_src.compliance.library.process import Case
 from fmu_src.compliance.rules import finding
 
 import_module("fmu_src.compliance.check")  # all that a child would import; by name, for an import would close a circle
+
+_PR_SET_PDEATHSIG = 1  # from <sys/prctl.h>
 
 
 def serve(forks: bool) -> None:
@@ -52,11 +56,18 @@ def serve(forks: bool) -> None:
                     signal.set_wakeup_fd(-1)
                     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
                     os.setsid()
+                    _end_with_the_server()
                     _run(number, case, subject, timeout, results)
                 code = _wait(child, commands, woken)
                 os.write(results, f"\n{number} e {code}\n".encode())
             case None:
                 return
+
+
+def _end_with_the_server() -> None:
+    """The FMU may end the process that watches it. Linux alone can be told."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _wait(child: int, commands: int, woken: int) -> int:

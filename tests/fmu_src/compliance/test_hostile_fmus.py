@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
 import subprocess
 import sys
+import time
 import zipfile
 from pathlib import Path
 
+import psutil
 import pytest
 from lxml import etree
 
@@ -45,6 +48,21 @@ def test_an_fmu_that_breaks_the_checks_own_processes_is_one_line(make: Make, def
     code, (line,) = lines(path)
     assert code == 2 and words in line and str(path) in line
     assert check(make()).findings == []  # and the next one is checked
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_nothing_runs_on_after_a_check_that_was_ended(make: Make, how: signal.Signals) -> None:
+    command = [sys.executable, "-m", "commands", "check", str(make(defect="hang-at-once"))]
+    checking = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    this, end = psutil.Process(checking.pid), time.monotonic() + 60
+    while (
+        not (started := this.children(recursive=True)) or max(p.cpu_times().user for p in started[1:] or started) < 0.5
+    ):
+        assert checking.poll() is None and time.monotonic() < end
+        time.sleep(0.1)
+    checking.send_signal(how)
+    checking.wait(30)
+    assert psutil.wait_procs(started, timeout=30)[1] == []
 
 
 def test_a_step_that_stays_pending_is_waited_for_once(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:

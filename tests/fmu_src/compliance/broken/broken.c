@@ -93,6 +93,9 @@ static void misbehave(const State *state)
             if (fcntl(file, F_GETFD) != -1 && write(file, "garbage\n", 8) < 0)
                 continue;
 #endif
+    if (has("hang-at-once"))
+        for (volatile int i = 0;; i++)
+            ;
     if (has("exits"))
         exit(0);
     if (has("prints-much") && state->count == 0)

@@ -377,7 +377,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     for (size_t i = 0; i < nUnknown; i++) {
         dvUnknown[i] = 0;
         for (size_t j = 0; j < nKnown; j++)
-            if ((unknown[i] == DER_H && knowns[j] == V) || (unknown[i] == DER_V && knowns[j] == LIFT))
+            if ((unknown[i] == DER_H && knowns[j] == V) || (unknown[i] == DER_V && knowns[j] == LIFT) ||
+                (unknown[i] == knowns[j] && knowns[j] <= V))
                 dvUnknown[i] += has("directional-derivative") ? -dvKnown[j] : dvKnown[j];
     }
     return fmi2OK;
