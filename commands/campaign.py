@@ -11,10 +11,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import Assignments, err, fail, out, split_assignments
+from commands.console import Assignments, CallLimit, err, fail, out, split_assignments
 from cosim.campaign.run import SETTLE
 from cosim.campaign.variation import parse
 from cosim.errors import ExperimentError, SystemFileError
+from cosim.master.watched import LIMIT
 
 if TYPE_CHECKING:
     from cosim.campaign.campaign import Campaign
@@ -50,6 +51,11 @@ def campaign(
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine.", show_default="one for each processor")
     ] = None,
+    limit: CallLimit = LIMIT,
+    dashboard: Annotated[
+        bool,
+        typer.Option("--dashboard", help="Dask's page about its processes, at http://127.0.0.1:8787; wants bokeh."),
+    ] = False,
 ) -> None:
     """Run a system many times with varied values; write runs.csv (a line a run), figure.svg and report.html.
 
@@ -80,6 +86,8 @@ def campaign(
                 settle=settle,
                 scheduler=scheduler,
                 workers=workers,
+                limit=limit,
+                dashboard=dashboard,
                 progress=lambda done, total: display.update(task, completed=done, total=total),
             )
         write_campaign_report(made, directory)

@@ -27,6 +27,13 @@ Assignments = Annotated[
     ),
 ]
 
+CallLimit = Annotated[
+    float,
+    typer.Option(
+        "--call-limit", metavar="SECONDS", min=0.1, help="How long a call of an FMU may take before the run is ended."
+    ),
+]
+
 
 def split_assignments(texts: list[str] | None, option: str = "--set", form: str = ELEMENT_FORM) -> dict[str, str]:
     """Names and values, as text, of an option of the given form, such as `--set NAME=VALUE`."""

@@ -10,10 +10,11 @@ import typer
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import Assignments, fail, late_progress, out, split_assignments
+from commands.console import Assignments, CallLimit, fail, late_progress, out, split_assignments
 from cosim.errors import ExperimentError, SystemFileError
-from cosim.master import run as run_system
 from cosim.master.slave import RunError
+from cosim.master.watched import LIMIT
+from cosim.master.watched import run as run_system
 from cosim.report.estimates import pairs
 from cosim.report.page import Table, write_report
 from cosim.results import Result, write_csv
@@ -38,6 +39,7 @@ def run(
     step: Annotated[
         float | None, typer.Option(help="Communication step size in seconds.", show_default="the system's")
     ] = None,
+    limit: CallLimit = LIMIT,
 ) -> None:
     """Run a system once; write results.csv (all outputs of all FMUs) and report.html (figures).
 

@@ -10,34 +10,30 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-import logging
-import signal
 import tempfile
-import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import dask
-from distributed import Client, KilledWorker, LocalCluster, as_completed, get_worker
+from distributed import KilledWorker, as_completed, get_worker
 from distributed.diagnostics.plugin import UploadFile
 
 from cosim.campaign.run import SETTLE, Experiment, Outcome, failed, load, perform, save
 from cosim.campaign.variation import Variations, check, draw
+from cosim.campaign.workers import connected
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.fmu import Value, unit_of
 from cosim.master import count_steps, start_values
+from cosim.master.watched import LIMIT
 from cosim.report.estimates import Pair, paired
 from cosim.system import read_ssp
-from cosim.system.resolve import ResolvedSystem, find_variable, resolve
+from cosim.system.resolve import find_variable, resolve
+from cosim.system.resolved import ResolvedSystem
 from cosim.whole import whole
 
 QUESTION, RUNS, TABLE = "campaign.json", "runs", "runs.csv"
 LARGEST_QUESTION = 2**24  # bytes
-CONNECT_TIMEOUT = 10.0  # [s] for a scheduler to answer
-WORKERS_TIMEOUT = 30.0  # [s] for its first worker to appear
 
 
 @dataclass(frozen=True)
@@ -72,6 +68,8 @@ def campaign(
     settle: float = SETTLE,
     scheduler: str | None = None,
     workers: int | None = None,
+    limit: float = LIMIT,
+    dashboard: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Campaign:
     """Run an .ssp file `runs` times with varied start values; what is in `out` already is not run again.
@@ -91,6 +89,8 @@ def campaign(
         settle: how long after the start and each jump of a true parameter an estimate may take to settle [s].
         scheduler: address of a Dask scheduler; default: processes on this machine.
         workers: how many processes on this machine; default: one for each processor.
+        limit: how long a call of an FMU may take [s].
+        dashboard: Dask's own page about the processes on this machine, which only this machine can see; it wants bokeh.
         progress: called with the number of finished runs and of all.
 
     Raises:
@@ -130,7 +130,8 @@ def campaign(
     todo = {number: values[number] for number in range(runs) if not records[number].exists()}
     progress(runs - len(todo), runs)
     if todo:
-        for i, outcome in enumerate(_perform_all(system, digest, experiment, todo, scheduler, workers), start=1):
+        performed = _perform_all(system, digest, experiment, todo, limit, scheduler, workers, dashboard)
+        for i, outcome in enumerate(performed, start=1):
             save(outcome, records[outcome.run])
             progress(runs - len(todo) + i, runs)
     outcomes = [load(record, number, values[number], len(found)) for number, record in records.items()]
@@ -209,16 +210,18 @@ def _perform_all(
     digest: str,
     experiment: Experiment,
     todo: Mapping[int, Mapping[str, float | int]],
+    limit: float,
     scheduler: str | None,
     workers: int | None,
+    dashboard: bool,
 ) -> Iterator[Outcome]:
     """The outcomes of the runs `todo`, as they finish."""
-    with _client(scheduler, workers) as client:
+    with connected(scheduler, workers, dashboard) as client:
         upload = UploadFile(str(system), load=False)
         upload.filename = f"{digest}.ssp"  # a worker may serve several campaigns
         client.register_plugin(upload, name=digest)
         numbers = {
-            client.submit(_perform_here, upload.filename, experiment, number, values, pure=False): number
+            client.submit(_perform_here, upload.filename, experiment, number, values, limit, pure=False): number
             for number, values in todo.items()
         }
         for future in as_completed(list(numbers)):
@@ -236,47 +239,11 @@ def _perform_all(
         client.unregister_worker_plugin(digest)
 
 
-def _perform_here(name: str, experiment: Experiment, number: int, values: Mapping[str, float | int]) -> Outcome:
+def _perform_here(
+    name: str, experiment: Experiment, number: int, values: Mapping[str, float | int], limit: float
+) -> Outcome:
     """On a worker: a run of the system that was sent to its folder."""
-    return perform(Path(get_worker().local_directory).resolve() / name, experiment, number, values)
-
-
-@contextmanager
-def _client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler, or of local worker processes that end with it.
-
-    Raises:
-        ExperimentError: the scheduler does not answer, or has no workers.
-    """
-    with ExitStack() as stack:
-        if scheduler is None:
-            # A worker holds one run at a time, so that an FMU that crashes takes no other run with it.
-            stack.enter_context(dask.config.set({"distributed.scheduler.worker-saturation": 1.0}))
-            with _interrupt_ignored():
-                cluster = LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
-                )
-            yield stack.enter_context(Client(stack.enter_context(cluster)))
-            return
-        try:
-            client = stack.enter_context(Client(scheduler, timeout=CONNECT_TIMEOUT))
-            client.wait_for_workers(1, timeout=WORKERS_TIMEOUT)
-        except (OSError, ValueError) as error:
-            raise ExperimentError(f"no Dask workers behind the scheduler '{scheduler}': {error}") from None
-        yield client
-
-
-@contextmanager
-def _interrupt_ignored() -> Iterator[None]:
-    """Processes started herein ignore Ctrl-C, which a terminal sends to all: this process alone decides what it means."""
-    if threading.current_thread() is not threading.main_thread():  # the only one that may change it
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
+    return perform(Path(get_worker().local_directory).resolve() / name, experiment, number, values, limit)
 
 
 def _write_table(outcomes: list[Outcome], path: Path) -> None:

@@ -7,14 +7,15 @@ import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from cosim.errors import SystemFileError
 from cosim.fmu import Value
-from cosim.master import run
 from cosim.master.slave import RunError
+from cosim.master.watched import LIMIT, Child
 from cosim.report.estimates import pairs
 from cosim.results import Result
 from cosim.whole import whole
@@ -65,14 +66,24 @@ class Outcome:
     estimates: np.ndarray
 
 
-def perform(system: Path, experiment: Experiment, number: int, values: Mapping[str, float | int]) -> Outcome:
-    """Run the system with the varied `values`. An FMU that fails makes a failed outcome, not an exception.
+@cache
+def _child() -> Child:
+    """The process in which this one's runs happen, one after the other; it ends with this one."""
+    return Child()
+
+
+def perform(
+    system: Path, experiment: Experiment, number: int, values: Mapping[str, float | int], limit: float = LIMIT
+) -> Outcome:
+    """Run the system with the varied `values`. An FMU that fails, crashes or takes longer than `limit` [s] for a call makes a
+    failed outcome, not an exception.
 
     Raises:
         SystemFileError, ExperimentError: as `cosim.master.run`.
     """
     try:
-        result = run(system, stop=experiment.stop, step=experiment.step, overrides={**experiment.overrides, **values})
+        overrides = {**experiment.overrides, **values}
+        result = _child().run(system, stop=experiment.stop, step=experiment.step, overrides=overrides, limit=limit)
     except RunError as error:
         return failed(number, values, str(error))
     found = pairs(result)

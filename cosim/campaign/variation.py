@@ -10,7 +10,8 @@ import numpy as np
 from cosim.errors import ExperimentError
 from cosim.fmu import INTEGER_LIMIT, Value, limits
 from cosim.master import start_values
-from cosim.system.resolve import ResolvedSystem, find_variable
+from cosim.system.resolve import find_variable
+from cosim.system.resolved import ResolvedSystem
 
 # The varied variables by path: uniform between two bounds, or (None) distinct whole numbers, such as seeds.
 Variations = Mapping[str, tuple[float, float] | None]

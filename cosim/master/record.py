@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from fmpy.model_description import ModelVariable
 
 from cosim.fmu import enumeration_items, unit_of
 from cosim.master.slave import FMI_KIND, Slave, references
 from cosim.results import Message, Result
-from cosim.system.resolve import Connection, ResolvedSystem
+from cosim.system.resolved import Connection, ResolvedSystem
 from cosim.system.transformation import Transformation, apply
 
 STORED = {"Real": np.float64, "Integer": np.int32, "Boolean": np.int32}  # fmi2Real, fmi2Integer, fmi2Boolean
+DURATIONS = "durations"
 _C: dict[str, Any] = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int}
 
 # function(component, address of value references, their count, address of the values + row * stride) -> status
@@ -28,6 +31,56 @@ def allocate(name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
     return np.zeros(shape, dtype)
 
 
+@dataclass(frozen=True)
+class Outline:
+    """All about a record but its numbers; it can be sent to another process.
+
+    Attributes:
+        system: the system's name.
+        start, step: the times of the rows [s].
+        steps: number of communication steps.
+        columns: name, array and column in it of each output of an element.
+        exposures: name, source and transformations of each output of the system.
+        units, descriptions, kinds, items, sources, notes: as of `Result`.
+    """
+
+    system: str
+    start: float
+    step: float
+    steps: int
+    columns: list[tuple[str, str, int]]
+    exposures: list[tuple[str, str, tuple[Transformation, ...]]]
+    units: dict[str, str]
+    descriptions: dict[str, str]
+    kinds: dict[str, str]
+    items: dict[str, dict[int, str]]
+    sources: dict[str, frozenset[str]]
+    notes: list[str]
+
+    def result(self, arrays: Mapping[str, np.ndarray], rows: int, messages: Sequence[Message]) -> Result:
+        """The first `rows` rows of the record in `arrays`."""
+        found = {name: arrays[kind][:rows, column] for name, kind, column in self.columns}
+        found |= {name: apply(steps, found[source]) for name, source, steps in self.exposures}
+        values = np.empty((rows, len(found)))
+        for i, column in enumerate(found.values()):
+            values[:, i] = column
+        return Result(
+            system=self.system,
+            step=self.step,
+            time=self.start + np.arange(rows) * self.step,
+            names=tuple(found),
+            values=values,
+            units=self.units,
+            descriptions=self.descriptions,
+            kinds=self.kinds,
+            items=self.items,
+            step_ns={e: np.array(arrays[DURATIONS][i, : max(rows - 1, 0)]) for i, e in enumerate(self.sources)},
+            messages=messages,
+            sources=self.sources,
+            notes=self.notes,
+        )
+
+
 class Record:
     """Preallocated rows for all numeric outputs of a system, one array for each FMI type.
 
@@ -38,32 +91,55 @@ class Record:
         resolved: the system.
         start, step: the times of the rows [s].
         steps: number of communication steps; there is one row more.
+        notes: what whoever reads the numbers should know.
         allocate: makes the arrays.
     """
 
-    def __init__(self, resolved: ResolvedSystem, start: float, step: float, steps: int, allocate: Allocate = allocate):
-        self._resolved = resolved
-        self._step = step
+    def __init__(
+        self,
+        resolved: ResolvedSystem,
+        start: float,
+        step: float,
+        steps: int,
+        notes: list[str],
+        allocate: Allocate = allocate,
+    ):
         self.rows = 0  # that are complete
         self.messages: list[Message] = []
-        self.notes: list[str] = []
-        self._outputs = [
+        outputs = [
             (element, variable)
             for element, description in resolved.descriptions.items()
             for variable in description.modelVariables
             if variable.causality == "output" and variable.type in FMI_KIND and variable.type != "String"
         ]
-        self._blocks: dict[str, dict[str, list[Any]]] = {}  # element -> kind -> variables
+        self._blocks: dict[str, dict[str, list[ModelVariable]]] = {}  # element -> kind -> variables
         self._column: dict[tuple[str, str], tuple[str, int]] = {}
         widths = dict.fromkeys(STORED, 0)
-        for element, variable in self._outputs:
+        for element, variable in outputs:
             kind = FMI_KIND[variable.type]
             self._blocks.setdefault(element, {}).setdefault(kind, []).append(variable)
             self._column[element, variable.name] = (kind, widths[kind])
             widths[kind] += 1
+        shown = {e.connector: e for e in resolved.exposures}
+        variables = {f"{element}.{variable.name}": variable for element, variable in outputs}
+        variables |= {name: exposure.output for name, exposure in shown.items()}
+        self.outline = Outline(
+            system=resolved.system.name,
+            start=start,
+            step=step,
+            steps=steps,
+            columns=[(f"{element}.{v.name}", *self._column[element, v.name]) for element, v in outputs],
+            exposures=[(name, f"{e.source}.{e.output.name}", e.steps) for name, e in shown.items()],
+            units={name: shown[name].unit if name in shown else unit_of(v) for name, v in variables.items()},
+            descriptions={name: v.description or "" for name, v in variables.items()},
+            kinds={name: v.type for name, v in variables.items()},
+            items={name: enumeration_items(v) for name, v in variables.items() if v.type == "Enumeration"},
+            sources=resolved.sources(),
+            notes=notes,
+        )
         self._arrays = {kind: allocate(kind, (steps + 1, widths[kind]), dtype) for kind, dtype in STORED.items()}
-        durations = allocate("durations", (len(resolved.descriptions), steps), np.int64)
-        self.step_ns = dict(zip(resolved.descriptions, durations, strict=True))
+        self._arrays[DURATIONS] = allocate(DURATIONS, (len(resolved.descriptions), steps), np.int64)
+        self.step_ns = dict(zip(resolved.descriptions, self._arrays[DURATIONS], strict=True))
         self.time = start + np.arange(steps + 1) * step
         self._references: list[Any] = []  # kept alive: the calls hold their addresses
 
@@ -108,41 +184,11 @@ class Record:
 
     def first_row(self) -> bytes:
         """The bytes of row 0."""
-        return b"".join(array[0].tobytes() for array in self._arrays.values())
+        return b"".join(self._arrays[kind][0].tobytes() for kind in STORED)
 
     def result(self) -> Result:
         """The complete rows."""
-        rows = self.rows
-        columns: dict[str, np.ndarray] = {}
-        variables: dict[str, Any] = {}
-        units: dict[str, str] = {}
-        for element, variable in self._outputs:
-            kind, column = self._column[element, variable.name]
-            name = f"{element}.{variable.name}"
-            columns[name], variables[name] = self._arrays[kind][:rows, column], variable
-            units[name] = unit_of(variable)
-        for shown in self._resolved.exposures:
-            source = columns[f"{shown.source}.{shown.output.name}"]
-            columns[shown.connector], variables[shown.connector] = apply(shown.steps, source), shown.output
-            units[shown.connector] = shown.unit
-        values = np.empty((rows, len(columns)))
-        for i, column_values in enumerate(columns.values()):
-            values[:, i] = column_values
-        return Result(
-            system=self._resolved.system.name,
-            step=self._step,
-            time=self.time[:rows],
-            names=tuple(columns),
-            values=values,
-            units=units,
-            descriptions={name: v.description or "" for name, v in variables.items()},
-            kinds={name: v.type for name, v in variables.items()},
-            items={name: enumeration_items(v) for name, v in variables.items() if v.type == "Enumeration"},
-            step_ns={element: ns[: max(rows - 1, 0)] for element, ns in self.step_ns.items()},
-            messages=self.messages,
-            sources=self._resolved.sources(),
-            notes=self.notes,
-        )
+        return self.outline.result(self._arrays, self.rows, self.messages)
 
 
 def grouped(connections: list[Connection]) -> Mapping[str, list[Connection]]:

@@ -24,11 +24,15 @@ from cosim.master.slave import CALLS, TERMINATE, RunError, Slave
 from cosim.master.stepping import initialise, step_all
 from cosim.results import Result, read_csv
 from cosim.system import System, read_ssp
-from cosim.system.resolve import ResolvedSystem, find_variable, resolve
+from cosim.system.resolve import find_variable, resolve
+from cosim.system.resolved import ResolvedSystem
 from cosim.system.transformation import apply
 
 STEP_TOLERANCE = 1e-6  # of a step: how far the stop time may lie from a whole number of steps
 MOST_STEPS = 10**8  # the record of a plant and an observer then takes 15 GB
+
+# Rows of `Prepared.here` where no step has begun: no FMU has been called yet; some have, but row 0 is not there yet.
+NOTHING, BEFORE = -2, -1
 
 Inputs = Mapping[str, np.ndarray] | Path
 
@@ -66,7 +70,12 @@ def run(
     with ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cosim-"))).resolve()
         made = prepare(system, directory, stop=stop, step=step, overrides=overrides, inputs=inputs)
-        return perform(made, directory, progress=progress)
+        try:
+            perform(made, directory, progress=progress)
+        except RunError as error:
+            error.partial = made.record.result()
+            raise
+        return made.record.result()
 
 
 @dataclass(frozen=True)
@@ -80,7 +89,7 @@ class Prepared:
         signals: the inputs given beforehand.
         order: the schedule.
         record: the record, still empty.
-        here: takes what the run is at, see `step_all`.
+        here: takes what the run is at: a number as `Slave.at` notes it, and the row that the step started from.
     """
 
     resolved: ResolvedSystem
@@ -117,33 +126,40 @@ def prepare(
     signals = checked(given, resolved, overrides, steps)
     order = schedule(resolved, [(s.element, s.variable.name) for s in signals])
     try:
-        record = Record(resolved, start, step, steps, allocate)
+        record = Record(resolved, start, step, steps, [*resolved.notes, *order.notes], allocate)
+        here = allocate("here", (2,), np.int64)
     except MemoryError:
         raise ExperimentError(f"the record of {steps} steps of {step:g} s does not fit into memory") from None
-    record.notes = [*resolved.notes, *order.notes]
-    return Prepared(resolved, stop, step, steps, values, signals, order, record, allocate("here", (2,), np.int64))
+    here[1] = NOTHING
+    return Prepared(resolved, stop, step, steps, values, signals, order, record, here)
 
 
-def perform(made: Prepared, directory: Path, progress: Callable[[int, int], None] | None = None) -> Result:
-    """Load the FMUs, unpacked into `directory`, and run.
+def perform(made: Prepared, directory: Path, progress: Callable[[int, int], None] | None = None) -> None:
+    """Load the FMUs, unpacked into `directory`, and run; what comes of it is in the record.
 
     Raises:
         SystemFileError: an FMU is damaged.
-        RunError: an FMU failed; `partial` of the error has the rows up to there.
+        RunError: an FMU failed; the record has the rows up to there.
     """
-    resolved, record, here = made.resolved, made.record, made.here.data
+    resolved, here = made.resolved, made.here.data
+    folders: dict[Path, Path] = {}
+    for element in resolved.system.elements.values():
+        if element.fmu not in folders:
+            folders[element.fmu] = directory / f"fmu-{len(folders)}"
+            unpack(element.fmu, folders[element.fmu])
+    here[1] = BEFORE
     with ExitStack() as stack:
-        try:
-            slaves = _instantiate(resolved, directory, record, here, stack)
-            initialise(slaves, resolved, made.values, made.signals, made.order, record, made.stop)
-            step_all(slaves, resolved, made.signals, made.order, record, made.steps, made.step, here, progress)
-            for slave in slaves.values():
-                slave.at(TERMINATE)
-                slave.call(made.stop, lambda fmu: fmu.terminate())
-        except RunError as error:
-            error.partial = record.result()
-            raise
-        return record.result()
+        slaves: dict[str, Slave] = {}
+        for i, (name, element) in enumerate(resolved.system.elements.items()):
+            description, folder, place = resolved.descriptions[name], folders[element.fmu], i * len(CALLS)
+            messages, start = made.record.messages, resolved.system.start
+            slaves[name] = Slave(name, description, folder, messages, start, here, place)
+            stack.callback(slaves[name].free)
+        initialise(slaves, resolved, made.values, made.signals, made.order, made.record, made.stop)
+        step_all(slaves, resolved, made.signals, made.order, made.record, made.steps, made.step, here, progress)
+        for slave in slaves.values():
+            slave.at(TERMINATE)
+            slave.call(made.stop, lambda fmu: fmu.terminate())
 
 
 def count_steps(start: float, stop: float, step: float) -> int:
@@ -208,20 +224,3 @@ def _read(file: Path, resolved: ResolvedSystem, times: np.ndarray) -> dict[str, 
     except ValueError as error:
         raise ExperimentError(str(error)) from None
     return sampled(columns, str(file), resolved, times)
-
-
-def _instantiate(
-    resolved: ResolvedSystem, directory: Path, record: Record, here: memoryview, stack: ExitStack
-) -> dict[str, Slave]:
-    """Unpack each FMU once and instantiate the elements; `stack` frees them in the end."""
-    unpacked: dict[Path, Path] = {}
-    slaves: dict[str, Slave] = {}
-    for i, (name, element) in enumerate(resolved.system.elements.items()):
-        if element.fmu not in unpacked:
-            target = directory / f"fmu-{len(unpacked)}"
-            unpack(element.fmu, target)
-            unpacked[element.fmu] = target
-        description, start = resolved.descriptions[name], resolved.system.start
-        slaves[name] = Slave(name, description, unpacked[element.fmu], record.messages, start, here, i * len(CALLS))
-        stack.callback(slaves[name].free)
-    return slaves

@@ -15,7 +15,7 @@ import networkx as nx
 from fmpy.model_description import ModelDescription
 
 from cosim.errors import SystemFileError
-from cosim.system.resolve import ResolvedSystem, listed
+from cosim.system.resolved import ResolvedSystem, listed
 
 
 @dataclass(frozen=True)

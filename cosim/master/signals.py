@@ -11,7 +11,8 @@ from fmpy.model_description import ModelVariable
 from cosim.errors import ExperimentError, suggest
 from cosim.master.record import STORED, Access
 from cosim.master.slave import FMI_KIND, Slave, references
-from cosim.system.resolve import ResolvedSystem, find_variable
+from cosim.system.resolve import find_variable
+from cosim.system.resolved import ResolvedSystem
 from cosim.system.transformation import apply
 
 

@@ -57,6 +57,7 @@ class RunError(RuntimeError):
     Attributes:
         element: its name.
         time: the communication point [s].
+        text: what happened.
         partial: the record up to the failure; None if it failed before the record began.
     """
 
@@ -64,6 +65,7 @@ class RunError(RuntimeError):
         super().__init__(f"element '{element}' at t = {time:g}: {message}")
         self.element = element
         self.time = time
+        self.text = message
         self.partial: Result | None = None
 
 

@@ -14,7 +14,7 @@ from cosim.master.record import Access, Record, grouped
 from cosim.master.schedule import Schedule
 from cosim.master.signals import Signal, driving
 from cosim.master.slave import ENTER, EXIT, GET, SET, SET_UP, STEP, Slave
-from cosim.system.resolve import ResolvedSystem
+from cosim.system.resolved import ResolvedSystem
 
 PROGRESS_REPORTS = 200  # per run
 POLL = 1e-3  # [s] between two questions whether a step that is pending has ended
@@ -89,7 +89,7 @@ def step_all(
     here: memoryview,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """All steps. `here` takes what is being done: a number as `Slave.at` notes it, and the row from which it starts."""
+    """All steps. `here` takes what is being done: a number as `Slave.at` notes it, and the row that a step starts from."""
     times = record.time.tolist()
     into = grouped(resolved.connections)
     work = []
@@ -123,6 +123,7 @@ def step_all(
         record.rows = i + 2
         if progress is not None and (i + 1) % report == 0:
             progress(i + 1, steps)
+    here[1] = steps
 
 
 def _perform(calls: list[Access], row: int, slave: Slave, call: int, time: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.master import run
+from cosim.master.watched import run
 from cosim.masters.experiment import Experiment, Recording
 
 
@@ -10,7 +10,7 @@ def record(experiment: Experiment) -> Recording:
     """The columns of all numeric outputs.
 
     Raises:
-        RunError: an FMU failed.
+        RunError: an FMU failed, or took its process with it.
     """
     result = run(experiment.path)
     return {"time": result.time, **{name: result[name] for name in result.names}}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from cosim.errors import SystemFileError, suggest
 from cosim.fmu import Value
-from cosim.system.resolve import listed
+from cosim.system.resolved import listed
 from cosim.system.route import Hop, Quantity, Route
 from cosim.system.ssp_parameters import Values
 from cosim.system.ssp_structure import End, Node, Wire

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -17,7 +18,8 @@ from lxml import etree
 
 from cosim.errors import SystemFileError
 from cosim.fmu import Value, enumeration_items, unit_of
-from cosim.system.resolve import ResolvedSystem, resolve
+from cosim.system.resolve import resolve
+from cosim.system.resolved import ResolvedSystem
 from cosim.system.ssp_files import OSP, OSP_ANNOTATION, SSC, SSD, SSV, STRUCTURE, validate
 from cosim.system.system import System
 from cosim.system.units import EXPONENTS
@@ -40,9 +42,13 @@ def write_ssp(system: System, path: Path) -> None:
             nested or has connectors or transformations, which only files of other tools have.
         OSError: the file cannot be written; what was there before is unchanged.
     """
-    if system.connectors or system.routes or any("." in name for name in system.elements):
-        raise SystemFileError(f"system '{system.name}': only flat systems without connectors of their own are written")
     resolved = resolve(system)
+    plain = resolve(replace(system, routes={})) if system.routes else resolved
+    steps = [[c.steps for c in one.connections] for one in (plain, resolved)]
+    if system.connectors or steps[0] != steps[1] or any("." in name for name in system.elements):
+        raise SystemFileError(
+            f"system '{system.name}': only flat systems without connectors and transformations of their own are written"
+        )
     files: dict[str, Path] = {}
     for element in system.elements.values():
         kept = files.setdefault(element.fmu.name, element.fmu)

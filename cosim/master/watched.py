@@ -1,0 +1,238 @@
+"""Runs in a process of their own, master and FMUs together: whatever an FMU does to that process is one error of this one.
+
+The parent looks now and then at a few numbers that the run leaves in a file; no step costs more for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from cosim.errors import ExperimentError, SystemFileError
+from cosim.fmu import Value
+from cosim.master.child import Begun, Ended, Request, mapped, receive, send
+from cosim.master.run import Inputs
+from cosim.master.slave import CALLS, GET, RunError
+from cosim.results import Message, Result
+from cosim.system import System
+
+LIMIT = 60.0  # [s] that a call of an FMU may take
+LOOK = 0.1  # [s] between two looks at what the run is doing
+WORDS = 4096  # characters of what the FMUs print that are kept
+
+
+def run(
+    system: System | Path | str,
+    *,
+    stop: float | None = None,
+    step: float | None = None,
+    overrides: Mapping[str, Value] | None = None,
+    inputs: Inputs | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    limit: float = LIMIT,
+) -> Result:
+    """As `cosim.master.run`, in a process of its own, which works in a scratch folder.
+
+    Args:
+        limit: how long a call of an FMU may take [s].
+
+    Raises:
+        SystemFileError, ExperimentError: as there.
+        RunError: an FMU failed, ended the process, or a call did not return within `limit`; `partial` has the rows up to there.
+    """
+    with Child() as child:
+        return child.run(
+            system, stop=stop, step=step, overrides=overrides, inputs=inputs, progress=progress, limit=limit
+        )
+
+
+class Child:
+    """A process for runs, one after the other; started when it is needed, and again after it went down."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._answers: queue.Queue[Any] = queue.Queue()
+        self._said = bytearray()
+
+    def __enter__(self) -> Child:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._kill()
+
+    def run(
+        self,
+        system: System | Path | str,
+        *,
+        stop: float | None = None,
+        step: float | None = None,
+        overrides: Mapping[str, Value] | None = None,
+        inputs: Inputs | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        limit: float = LIMIT,
+    ) -> Result:
+        """As the function `run`."""
+        # Where Windows still holds files of a process that was killed, what is left there is left.
+        with tempfile.TemporaryDirectory(prefix="cosim-", ignore_cleanup_errors=True) as directory:
+            folder = Path(directory).resolve()
+            whole = _absolute(system)
+            given = inputs.resolve() if isinstance(inputs, Path) else inputs
+            self._said.clear()
+            try:
+                self._send(Request(whole, folder, stop, step, dict(overrides or {}), given), folder)
+                return self._watch(folder, progress, limit)
+            except BaseException as error:
+                if not isinstance(error, (SystemFileError, ExperimentError, RunError)):
+                    self._kill()  # Ctrl-C: nothing goes on behind our back
+                raise
+
+    def _send(self, request: Request, folder: Path) -> None:
+        if self._process is None or self._process.poll() is not None:
+            self._start()
+        assert self._process is not None and self._process.stdin is not None
+        send(self._process.stdin, request)  # type: ignore[arg-type]
+
+    def _start(self) -> None:
+        # As this process finds its modules, so does the child, whose working directory is another.
+        paths = [str(Path(path or ".").resolve()) for path in sys.path]
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "cosim.master"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+            start_new_session=True,  # so that what FMUs start ends with it
+        )
+        answers: queue.Queue[Any] = queue.Queue()
+        self._answers, self._said = answers, bytearray()
+        said, process = self._said, self._process
+
+        def listen() -> None:
+            while (answer := receive(process.stdout)) is not None:  # type: ignore[arg-type]
+                answers.put(answer)
+            answers.put(None)
+
+        def hear() -> None:
+            while heard := os.read(process.stderr.fileno(), 65536):  # type: ignore[union-attr]
+                said.extend(heard)
+                del said[:-WORDS]
+
+        for task in (listen, hear):
+            threading.Thread(target=task, daemon=True).start()
+
+    def _watch(self, folder: Path, progress: Callable[[int, int], None] | None, limit: float) -> Result:
+        begun: Begun | None = None
+        here = np.array([0, -2])
+        messages: list[Message] = []
+        seen, since = (0, -2), clock.monotonic()
+        while True:
+            try:
+                answer = self._answers.get(timeout=LOOK)
+            except queue.Empty:
+                now = (int(here[0]), int(here[1]))
+                if now != seen or now[1] < -1:
+                    seen, since = now, clock.monotonic()
+                    if progress is not None and begun is not None and now[1] > 0:
+                        progress(now[1], begun.outline.steps)
+                elif clock.monotonic() - since > limit:
+                    self._kill()
+                    raise self._down(f"has not returned for {limit:g} s", begun, folder, seen, messages) from None
+                continue
+            match answer:
+                case Message():
+                    messages.append(answer)
+                case Begun():
+                    begun = answer
+                    here = mapped(folder, "here", *begun.shapes["here"], "r")
+                case Ended(kind=""):
+                    assert begun is not None
+                    return self._result(begun, folder, int(here[1]), messages)
+                case Ended(kind="RunError"):
+                    error = RunError(answer.element, answer.time, answer.text)
+                    if begun is not None:
+                        error.partial = self._result(begun, folder, int(here[1]), messages)
+                    raise error
+                case Ended(kind="SystemFileError"):
+                    raise SystemFileError(answer.text)
+                case Ended(kind="ExperimentError"):
+                    raise ExperimentError(answer.text)
+                case Ended():
+                    raise RuntimeError(answer.text)
+                case _:
+                    how = self._how()
+                    raise self._down(how, begun, folder, (int(here[0]), int(here[1])), messages)
+
+    def _down(
+        self, how: str, begun: Begun | None, folder: Path, at: tuple[int, int], messages: list[Message]
+    ) -> RunError:
+        """The error of a run whose process is no more."""
+        words = [line.strip() for line in self._said.decode("utf-8", "replace").splitlines() if line.strip()]
+        last = f": {words[-1]}" if words else ""
+        if begun is None:
+            raise RuntimeError(f"the process of the run {how} before it began{last}")
+        place, row = at
+        outline = begun.outline
+        row = min(max(row + (place % len(CALLS) == GET and row >= 0), 0), outline.steps)
+        time = outline.start + row * outline.step
+        error = RunError(list(outline.sources)[place // len(CALLS)], time, f"{CALLS[place % len(CALLS)]} {how}{last}")
+        error.partial = self._result(begun, folder, at[1], messages)
+        return error
+
+    def _result(self, begun: Begun, folder: Path, row: int, messages: list[Message]) -> Result:
+        arrays = {name: mapped(folder, name, shape, dtype, "r") for name, (shape, dtype) in begun.shapes.items()}
+        printed = self._said.count(b"\n")
+        outline = begun.outline
+        if printed:
+            first = self._said.decode("utf-8", "replace").splitlines()[0].strip()
+            outline = replace(outline, notes=[*outline.notes, f"the FMUs printed {printed} lines or more: {first}"])
+        return outline.result(arrays, max(row + 1, 0), messages)
+
+    def _how(self) -> str:
+        """How the process ended, which it did or is about to."""
+        assert self._process is not None
+        try:
+            code = self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:  # an FMU closed or filled the pipe
+            self._kill()
+            return "broke the connection to the process that it runs in"
+        self._kill()
+        if code < 0:
+            return f"ended the process by {signal.Signals(-code).name}"
+        return f"ended the process with exit({code})"
+
+    def _kill(self) -> None:
+        """End the process, and what it started."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # it is gone already
+            if hasattr(os, "killpg"):
+                os.killpg(process.pid, signal.SIGKILL)
+            else:
+                process.kill()
+        process.wait()
+        with contextlib.suppress(OSError):  # what was not yet sent
+            process.stdin.close()  # type: ignore[union-attr]
+
+
+def _absolute(system: System | Path | str) -> System | Path:
+    if not isinstance(system, System):
+        return Path(system).resolve()
+    elements = {name: replace(element, fmu=element.fmu.resolve()) for name, element in system.elements.items()}
+    return replace(system, elements=elements)

@@ -1,0 +1,120 @@
+"""A run in a process of its own: whatever an FMU does, one error that names element, call and time, and the rows up to there."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from strict_fmu import FAILURES
+
+import cosim.master
+from cosim.errors import ExperimentError, SystemFileError
+from cosim.master import watched
+from cosim.master.slave import RunError
+from cosim.system import Element, System
+
+Strict = Callable[..., Path]
+
+
+def failing(strict: Strict, failure: str, fail_time: float = 0.45) -> System:
+    """Two elements, the second of which fails in the step from 0.5 s on."""
+    chosen = {"failure": FAILURES.index(failure), "fail_time": fail_time}
+    elements = {"good": Element(strict(), {"u": 2.0}), "bad": Element(strict("bad"), chosen)}
+    return System("failing", elements, [("good.y", "bad.u")], stop=1.0, step=0.1)
+
+
+def test_it_gives_the_same_result_to_the_last_bit(built: Callable[[str], Path]) -> None:
+    toy = built("sampled_toy")
+    elements = {"plant": Element(built("duffing")), "observer": Element(toy), "blind": Element(toy, {"y": float("nan")})}
+    system = System("both", elements, [("plant.y", "observer.y")], stop=3.0, step=0.05)
+    here, there = cosim.master.run(system), watched.run(system)
+    assert here.names == there.names and here.values.tobytes() == there.values.tobytes()
+    assert here.time.tobytes() == there.time.tobytes()
+    assert (here.units, here.kinds, here.items, here.sources) == (there.units, there.kinds, there.items, there.sources)
+    assert here.messages == there.messages and len(there.messages) == 30
+    assert all((ns > 0).all() and len(ns) == 60 for ns in there.step_ns.values())
+
+
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [
+        ("exit", r"fmi2DoStep ended the process with exit\(0\)"),
+        ("crash", "fmi2DoStep ended the process by SIGSEGV"),
+        ("endless", "fmi2DoStep has not returned for 0.5 s"),
+        ("pending_for_ever", "fmi2DoStep has not returned for 0.5 s"),
+        ("noise", "fmi2DoStep ended the process by SIGABRT: a line that nobody asked for"),
+    ],
+)
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other words for it")
+def test_a_step_that_goes_wrong_is_named_and_the_rows_before_are_kept(
+    strict: Strict, failure: str, reason: str
+) -> None:
+    system = failing(strict, failure)
+    with pytest.raises(RunError, match=rf"element 'bad' at t = 0\.5: {reason}") as caught:
+        watched.run(system, limit=0.5)
+    assert "\n" not in str(caught.value)
+    partial = caught.value.partial
+    assert partial is not None
+    np.testing.assert_array_equal(partial.time, 0.1 * np.arange(6))
+    np.testing.assert_array_equal(partial.values, watched.run(failing(strict, "none"), stop=0.5).values)
+
+
+def test_other_calls_are_named_too(strict: Strict) -> None:
+    with pytest.raises(RunError, match=r"element 'bad' at t = 0: fmi2SetXXX has not returned for 0\.5 s") as caught:
+        watched.run(failing(strict, "set_for_ever"), limit=0.5)
+    assert caught.value.partial is not None and len(caught.value.partial.time) == 1
+    with pytest.raises(RunError, match=r"element 'bad' at t = 0\.5: fmi2GetXXX ended the process by SIGABRT"):
+        watched.run(failing(strict, "abort_at_get"))
+
+
+def test_an_fmu_works_in_a_scratch_folder_that_goes_with_the_run(strict: Strict, tmp_path: Path) -> None:
+    before = set(Path(os.environ.get("TMPDIR", "/tmp")).glob("cosim-*"))
+    watched.run(failing(strict, "none"))
+    with pytest.raises(RunError):
+        watched.run(failing(strict, "exit"))
+    assert not (tmp_path / "eventlog.txt").exists()
+    assert set(Path(os.environ.get("TMPDIR", "/tmp")).glob("cosim-*")) <= before
+
+
+def test_a_mistake_is_the_same_error_as_without_a_process(strict: Strict, tmp_path: Path) -> None:
+    system = failing(strict, "none")
+    with pytest.raises(ExperimentError, match=r"stop time 0\.25 is not a multiple"):
+        watched.run(system, stop=0.25)
+    with pytest.raises(SystemFileError, match=r"nowhere\.ssp: there is no such file"):
+        watched.run(tmp_path / "nowhere.ssp")
+
+
+def test_a_child_does_one_run_after_the_other_and_is_started_again_after_a_crash(strict: Strict) -> None:
+    with watched.Child() as child:
+        first = child.run(failing(strict, "none"))
+        with pytest.raises(RunError):
+            child.run(failing(strict, "crash"))
+        assert child.run(failing(strict, "none")).values.tobytes() == first.values.tobytes()
+        (process,) = psutil.Process().children()
+    assert not process.is_running()
+
+
+def test_the_child_ends_when_its_parent_is_killed_in_the_middle_of_a_step(strict: Strict, tmp_path: Path) -> None:
+    fmu = failing(strict, "endless").elements["bad"].fmu
+    code = (
+        "from pathlib import Path; from cosim.system import Element, System; from cosim.master import watched\n"
+        f"watched.run(System('x', {{'bad': Element(Path({str(fmu)!r}), {{'failure': 3}})}}, stop=1.0, step=0.1))"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], env=os.environ | {"TMPDIR": str(tmp_path)})
+    watch = psutil.Process(parent.pid)
+    deadline = time.monotonic() + 60
+    while not any((tmp_path).glob("cosim-*/record/here")):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    (child,) = watch.children()
+    parent.kill()
+    parent.wait()
+    psutil.wait_procs([child], timeout=20)
+    assert not child.is_running()
