@@ -29,7 +29,10 @@ def connected(scheduler: str | None, workers: int | None, dashboard: bool) -> It
     with ExitStack() as stack:
         if scheduler is None:
             # A worker holds one run at a time, so that an FMU that crashes takes no other run with it.
-            stack.enter_context(dask.config.set({"distributed.scheduler.worker-saturation": 1.0}))
+            settings: dict[str, object] = {"distributed.scheduler.worker-saturation": 1.0}
+            if not dashboard:  # Dask opens its server all the same: it has no page then
+                settings |= {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}
+            stack.enter_context(dask.config.set(settings))
             with _interrupt_ignored():
                 cluster = LocalCluster(
                     n_workers=workers,

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,7 @@ from cosim.campaign.campaign import campaign
 from cosim.campaign.report import figure, summary, svg, write_campaign_report
 from cosim.campaign.run import ROWS
 from cosim.campaign.variation import draw
+from cosim.campaign.workers import connected
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master import run
 from cosim.system import Element, System, read_ssp, write_ssp
@@ -270,11 +272,21 @@ def test_an_fmu_that_crashes_its_process_is_a_failed_run(system: Path, built: Bu
     crashing.elements["crashing"] = Element(_crashing(built("growing_toy"), tmp_path / "crashing.fmu"))  # type: ignore[index]
     write_ssp(crashing, tmp_path / "crashing.ssp")
     made = campaign(tmp_path / "crashing.ssp", tmp_path / "out", runs=1, vary=VARY, workers=1)
-    assert "the process that ran it died" in made.outcomes[0].failure
+    assert made.outcomes[0].failure == "element 'crashing' at t = 0: fmi2DoStep ended the process by SIGILL"
     with pytest.raises(ValueError, match="all runs failed"):
         figure(made)
     write_campaign_report(made, tmp_path / "out")
-    assert "the process that ran it died" in (tmp_path / "out" / "report.html").read_text()
+    assert "ended the process by SIGILL" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_the_workers_listen_on_this_machine_only_and_without_a_dashboard() -> None:
+    with connected(None, 1, False) as client:
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        listening = [c for p in processes for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
+        assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
+        for page in ("", "status", "info/main/workers.html", "health", "json/counts.json"):
+            with pytest.raises(OSError, match=r"404|refused"):
+                urllib.request.urlopen(client.dashboard_link.replace("status", page), timeout=10)
 
 
 def _crashing(fmu: Path, out: Path) -> Path:

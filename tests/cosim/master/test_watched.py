@@ -32,7 +32,11 @@ def failing(strict: Strict, failure: str, fail_time: float = 0.45) -> System:
 
 def test_it_gives_the_same_result_to_the_last_bit(built: Callable[[str], Path]) -> None:
     toy = built("sampled_toy")
-    elements = {"plant": Element(built("duffing")), "observer": Element(toy), "blind": Element(toy, {"y": float("nan")})}
+    elements = {
+        "plant": Element(built("duffing")),
+        "observer": Element(toy),
+        "blind": Element(toy, {"y": float("nan")}),
+    }
     system = System("both", elements, [("plant.y", "observer.y")], stop=3.0, step=0.05)
     here, there = cosim.master.run(system), watched.run(system)
     assert here.names == there.names and here.values.tobytes() == there.values.tobytes()

@@ -122,7 +122,7 @@ fmi2Status fmi2Reset(fmi2Component c)
 /* May this variable be set, or read, now? */
 static bool may_set(Instance *self, bool input)
 {
-    if (input ? self->phase == INSTANTIATED : self->phase != INSTANTIATED)
+    if (input ? self->phase == INSTANTIATED : self->phase >= STEPPING)
         return false;
     if (self->phase == STEPPING && self->integers[FAILURE] == SET_FOR_EVER)
         for (volatile int forever = 1; forever;)
