@@ -22,6 +22,7 @@ from typer.testing import CliRunner, Result
 
 from commands.app import app
 from cosim.campaign import campaign as module
+from cosim.campaign import workers
 from cosim.campaign.campaign import campaign
 from cosim.campaign.report import figure, summary, svg, write_campaign_report
 from cosim.campaign.run import ROWS
@@ -101,7 +102,7 @@ def test_one_and_two_workers_and_a_dask_scheduler_give_the_same_table(
     campaign(system, tmp_path / "two", runs=30, vary=VARY, settle=1.0, workers=2)
     assert (tmp_path / "two" / "runs.csv").read_bytes() == (whole / "runs.csv").read_bytes()
     # A worker with two threads in one process: fmpy changes the process's working directory while it loads an FMU.
-    with module.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0") as cluster:
+    with workers.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0") as cluster:
         campaign(system, tmp_path / "cluster", runs=30, vary=VARY, settle=1.0, scheduler=cluster.scheduler_address)
     assert (tmp_path / "cluster" / "runs.csv").read_bytes() == (whole / "runs.csv").read_bytes()
 
@@ -141,7 +142,7 @@ def test_a_finished_campaign_does_not_run_again_and_more_runs_go_on_from_there(
     campaign(system, tmp_path, runs=4, vary=VARY, workers=1)
     assert [path.stat().st_mtime_ns for path in records] == times
     assert table(tmp_path)[:2] == first and len(table(tmp_path)) == 4
-    monkeypatch.setattr(module, "_client", lambda *_: pytest.fail("it runs again"))
+    monkeypatch.setattr(module, "connected", lambda *_: pytest.fail("it runs again"))
     campaign(system, tmp_path, runs=4, vary=VARY)
 
 
@@ -205,7 +206,7 @@ def test_another_ssp_file_of_the_same_name_in_the_same_folder_is_refused(
 def test_a_users_mistake_is_one_line_and_status_2_before_anything_runs(
     system: Path, tmp_path: Path, arguments: tuple[object, ...], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 0.5)
     line = refused(cosim("campaign", system, "--runs", 3, "--out", tmp_path / "out", *arguments))
     assert message in line
     assert not list(tmp_path.rglob("*.npz"))
