@@ -45,6 +45,17 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
         measurement_noise={"y1": 0.3, "y2": 0.5},
         name="linear_arrival",
     ),
+    "linear_noise": lambda: pseudospectral(
+        moving_window.linear(disturbed=True),
+        sample_time=0.1,
+        N=5,
+        L=4,
+        segments=4,
+        arrival_cost=True,
+        measurement_noise={"y1": 0.3, "y2": 0.5},
+        process_noise={"x2": 0.5, "d": 0.8},
+        name="linear_noise",
+    ),
     "rotation_bounded": lambda: pseudospectral(
         moving_window.rotation(), sample_time=0.2, N=12, L=10, name="rotation_bounded"
     ),

@@ -46,9 +46,11 @@ def moved(method: Method) -> ca.Function:
     D = unit - 2 * hA / 3 + ca.mtimes(hA, hA) / 6  # its lower rows are those of the unit matrix
     right = ca.horzcat(unit + hA / 3, unit - hA / 6)
     upper = linear.qr_solve(D[:nx, :nx], ca.densify(right[:nx, :] - ca.mtimes(D[:nx, nx:], right[nx:, :])))
-    solved = ca.vertcat(upper, right[nx:, :])
-    Phi, Gamma = solved[:, :ns], solved[:, ns:]  # of the state, and over h of a rate that is held
-    after = ca.mtimes([Phi, ca.reshape(P, ns, ns), Phi.T]) + h * ca.mtimes(ca.mtimes(Gamma, ca.diag(q**2)), Gamma.T)
+    Phi = ca.vertcat(upper[:, :ns], right[nx:, :ns])
+    # Over h a rate is held; a parameter jumps at the end, as in the window.
+    driven = ca.mtimes(upper[:, ns : ns + nx], ca.diag(q[:nx]))
+    spread = ca.diagcat(ca.mtimes(driven, driven.T), ca.diag(q[nx:] ** 2))
+    after = ca.mtimes([Phi, ca.reshape(P, ns, ns), Phi.T]) + h * spread
     column = ca.vec(ca.densify(after))
     kept = ca.if_else(ca.sumsqr(column) < HUGE, column, P)
     return ca.Function("moved_covariance", [P, *arguments, h, q], [kept], {"cse": True})

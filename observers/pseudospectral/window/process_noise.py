@@ -34,6 +34,7 @@ from observers.pseudospectral.window.gauss_newton import Constraints, Solve, con
 from observers.pseudospectral.window.problem import LeastSquares
 
 FIRM = 1e6  # weight of a bound that is exceeded, against the sum of the samples', both in nominal units
+SMALL = 16  # unknowns of a segment up to which its matrices are written out
 FELT = 1e-5  # by how much one may be exceeded, in nominal units, before it counts as giving way
 
 
@@ -188,19 +189,24 @@ def _theta_rows(problem: LeastSquares) -> np.ndarray:
     return rows
 
 
+def _kind(ns: int, nw: int) -> Any:
+    """Straight-line functions while they are short, products in loops beyond."""
+    return ca.SX if ns + nw <= SMALL else ca.MX
+
+
 def _eliminate(ns: int, nw: int, unit: float) -> ca.Function:
     """(N, T, std, nu, cost to go) -> (cost to go of the segment before, K, F_nn^-1); N in physical units, the rest in v.
 
     `unit` is the weight of |nu|^2.
     """
-    m, n = 1 + ns, 1 + ns + nw
-    N, T, C = ca.SX.sym("N", n, n), ca.SX.sym("T", m, n), ca.SX.sym("C", m, m)
-    std, nu = ca.SX.sym("std", nw), ca.SX.sym("nu", nw)
-    units = ca.diag(ca.vertcat(ca.SX.ones(m), std))
-    F = ca.mtimes([units, N, units]) + ca.mtimes([T.T, C, T])
-    corner = F[m:, m:] + unit * ca.SX.eye(nw)
-    side = F[m:, :m] + unit * ca.horzcat(nu, ca.SX(nw, ns))
-    solved, _ = linear.ldl_solve(corner, ca.horzcat(-side, ca.SX.eye(nw)))
+    m, n, kind = 1 + ns, 1 + ns + nw, _kind(ns, nw)
+    N, T, C = kind.sym("N", n, n), kind.sym("T", m, n), kind.sym("C", m, m)
+    std, nu = kind.sym("std", nw), kind.sym("nu", nw)
+    units = ca.vertcat(kind(ca.DM.ones(m)), std)
+    F = N * ca.mtimes(units, units.T) + ca.mtimes([T.T, C, T])
+    corner = F[m:, m:] + unit * ca.DM.eye(nw)
+    side = F[m:, :m] + unit * ca.horzcat(nu, ca.DM.zeros(nw, ns))
+    solved = linear.solver(nw, m + nw)(corner, ca.horzcat(-side, kind(ca.DM.eye(nw))))
     K, inverse = solved[:, :m], solved[:, m:]
     rest = F[:m, :m] + ca.mtimes(side.T, K)
     rest[0, 0] += unit * ca.dot(nu, nu)
@@ -224,7 +230,8 @@ def _follow(ns: int, nw: int, n_rates: int) -> ca.Function:
 
 def _joint(ns: int, nw: int) -> ca.Function:
     """(P, K, F_nn^-1) -> the covariance of [ds; dnu]."""
-    P, K, inverse = ca.SX.sym("P", ns, ns), ca.SX.sym("K", nw, 1 + ns), ca.SX.sym("inverse", nw, nw)
+    kind = _kind(ns, nw)
+    P, K, inverse = kind.sym("P", ns, ns), kind.sym("K", nw, 1 + ns), kind.sym("inverse", nw, nw)
     PK = ca.mtimes(P, K[:, 1:].T)
     both = ca.vertcat(ca.horzcat(P, PK), ca.horzcat(PK.T, ca.mtimes(K[:, 1:], PK) + inverse))
     return ca.Function("joint", [P, K, inverse], [ca.densify(both)])
@@ -232,7 +239,8 @@ def _joint(ns: int, nw: int) -> ca.Function:
 
 def _spread(ns: int, nw: int) -> ca.Function:
     """(P, joint covariance, rows) -> rows joint rows'; P is what it replaces."""
-    P, both, rows = ca.SX.sym("P", ns, ns), ca.SX.sym("both", ns + nw, ns + nw), ca.SX.sym("rows", ns, ns + nw)
+    kind = _kind(ns, nw)
+    P, both, rows = kind.sym("P", ns, ns), kind.sym("both", ns + nw, ns + nw), kind.sym("rows", ns, ns + nw)
     return ca.Function("spread", [P, both, rows], [ca.densify(ca.mtimes([rows, both, rows.T]))])
 
 

@@ -1,17 +1,21 @@
 """Process noise inside the window: the Kalman filter of the same discrete model on linear models, whatever the window's length; bounds,
 missing samples, algebraic variables and unknown disturbances with it; and calibration over many runs."""
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import expm
 from scipy.stats import chi2
 
+from components import COMPONENTS
 from moving_window import A, linear, sampled
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.pseudospectral import pseudospectral
 from observers.status import CODE
+from slave import Slave
 
 TS = 0.1
 NOISE = {"y1": 0.3, "y2": 0.5}
@@ -102,6 +106,56 @@ def test_on_a_linear_model_with_a_segment_a_sample_the_estimate_is_the_kalman_fi
         std = [run.get(f"diagnostics.std.{name}") for name in names]
         np.testing.assert_allclose(std, np.sqrt(np.diag(kalman.P)), rtol=5e-4, err_msg=f"sample {k}")
     assert run.get("diagnostics.solver_failures") == 0
+
+
+def test_its_fmu_says_the_same(slave: Callable[..., Slave]) -> None:
+    y, u, valid = record(40, 0.25)
+    fmu, face = slave("linear_noise").initialize(), Instance(COMPONENTS["linear_noise"]())
+    names = [port.name for port in face.component.outputs]
+    for k in range(40):
+        for run in (fmu, face):
+            told(run, y[k], u[k], valid[k], k)
+        np.testing.assert_allclose([fmu.get(name) for name in names], face.outputs(), rtol=1e-9, atol=1e-11)
+
+
+def test_many_states_are_worked_on_in_loops():
+    """Twenty decoupled lags with noise on all of them: the same as one of them alone."""
+
+    def lags(n):
+        return Model(
+            name="lags",
+            states=[Variable(f"x{i}", start=1.0) for i in range(n)],
+            outputs=[Variable(f"y{i}", start=1.0) for i in range(n)],
+            ode=lambda x, u, p, t: [-getattr(x, f"x{i}") for i in range(n)],
+            output=lambda x, u, p, t: [getattr(x, f"x{i}") for i in range(n)],
+        )
+
+    runs = []
+    for n in (1, 20):
+        noise = {f"x{i}": 0.3 for i in range(n)}
+        measured = {f"y{i}": 0.2 for i in range(n)}
+        component = pseudospectral(
+            lags(n),
+            sample_time=TS,
+            N=4,
+            L=3,
+            segments=3,
+            arrival_cost=True,
+            measurement_noise=measured,
+            process_noise=noise,
+        )
+        runs.append(Instance(component))
+    rng = np.random.default_rng(0)
+    for k in range(12):
+        value = rng.normal()
+        for n, run in zip((1, 20), runs, strict=True):
+            for i in range(n):
+                run.set(f"y{i}", value)
+            run.step(k * TS, TS)
+        for what in ("estimate", "diagnostics.std"):
+            alone = runs[0].get(f"{what}.x0")
+            together = [runs[1].get(f"{what}.x{i}") for i in range(20)]
+            np.testing.assert_allclose(together, alone, rtol=0, atol=1e-12)
 
 
 def test_a_term_that_the_collocation_solves_for_changes_nothing():
