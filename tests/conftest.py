@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import fmpy
 import pytest
-from filelock import FileLock
 
 from build_fmus import FMUS, SYSTEMS, Build, build_all
 from components import COMPONENTS
@@ -19,22 +17,12 @@ from cosim.results import Result
 from cosim.system import Element, System, write_ssp
 from fmu_src import export
 from observers.pseudospectral import pseudospectral
+from once import once
 from reference_models.duffing import DUFFING
 from slave import Slave
 from tools import imports, need
 
 Paths = Callable[[str], Path]
-
-
-def once(folder: Path, fill: Callable[[Path], object]) -> Path:
-    """`folder`, complete: where it is missing, one of the processes that ask for it lets `fill` make it, the others wait."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(f"{folder}.lock"):
-        if not folder.exists():
-            scratch = Path(tempfile.mkdtemp(dir=folder.parent))
-            fill(scratch)
-            scratch.rename(folder)
-    return folder
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ import fmpy
 import pytest
 
 from cosim.system import Element, System
-from cosim.system.system import resolve
+from cosim.system.resolve import resolve
 from fmu_src import export
 from observers.component import Component
 from reference_models.duffing import DUFFING

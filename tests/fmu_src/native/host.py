@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
-from conftest import Slave
 from fmu_src.native.compiler import compile_library
+from slave import Slave
 
 WAYS = (
     "added",

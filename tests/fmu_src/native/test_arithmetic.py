@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from conftest import Slave
 from host import HOSTS, driver, pointer
+from slave import Slave
 from tools import ROOT, TESTS
 
 STEP = 1 / 16  # a power of two: the host's own sums of it are exact in every rounding

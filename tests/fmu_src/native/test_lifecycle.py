@@ -15,9 +15,9 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2LastSuccessfulTime, fmi2Terminated
 
 from components import COMPONENTS
-from conftest import once
 from fmu_src import export
 from observers.instance import Instance
+from once import once
 from slave import Slave
 from toys import double_toy
 

@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import pytest
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
+from slave import Slave
 
 Make = Callable[..., Slave]
 

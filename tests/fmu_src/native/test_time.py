@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from conftest import COMPONENTS, Slave
+from components import COMPONENTS
 from host import WAYS, drive
 from observers.instance import Instance
+from slave import Slave
 
 Make = Callable[..., Slave]
 

@@ -20,7 +20,6 @@ from scipy.integrate import solve_ivp
 
 from build_fmus import SYSTEMS, build_all, choose
 from components import COMPONENTS
-from conftest import once
 from cosim.master import run as run_system
 from fmu_src import PLATFORMS, ExportError, export
 from fmu_src.native.compiler import cache_folder, compile_library
@@ -28,6 +27,7 @@ from fmu_src.python import target
 from fmu_src.python.target import CAPABILITIES
 from observers.instance import Instance
 from observers.model import Model, Variable
+from once import once
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
