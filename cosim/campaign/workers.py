@@ -38,7 +38,8 @@ def connected(scheduler: str | None, workers: int | None, dashboard: bool) -> It
                     n_workers=workers,
                     threads_per_worker=1,
                     host=LOOPBACK,
-                    dashboard_address=DASHBOARD if dashboard else None,
+                    dashboard_address=DASHBOARD if dashboard else f"{LOOPBACK}:0",
+                    scheduler_kwargs={"dashboard": dashboard},
                     silence_logs=logging.CRITICAL,
                 )
             yield stack.enter_context(Client(stack.enter_context(cluster)))

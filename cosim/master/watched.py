@@ -10,7 +10,6 @@ import os
 import queue
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time as clock
@@ -27,6 +26,7 @@ from cosim.fmu import Value
 from cosim.master.child import Begun, Ended, Request, mapped, receive, send
 from cosim.master.run import Inputs
 from cosim.master.slave import CALLS, GET, RunError
+from cosim.python import command, environment
 from cosim.results import Message, Result
 from cosim.system import System
 
@@ -109,14 +109,12 @@ class Child:
         send(self._process.stdin, request)  # type: ignore[arg-type]
 
     def _start(self) -> None:
-        # As this process finds its modules, so does the child, whose working directory is another.
-        paths = [str(Path(path or ".").resolve()) for path in sys.path]
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "cosim.master"],
+            command("cosim.master"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+            env=environment(),
             start_new_session=True,  # so that what FMUs start ends with it
         )
         answers: queue.Queue[Any] = queue.Queue()

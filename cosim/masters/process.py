@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 from cosim.masters.experiment import MasterError, Recording
+from cosim.python import command, environment
 from cosim.results import read_csv
 
 
@@ -21,10 +20,15 @@ def record(tool: str, system: Path) -> Recording:
     """
     with tempfile.TemporaryDirectory(prefix="cosim-") as directory:
         recording = Path(directory) / "recording.csv"
-        command = [sys.executable, "-m", "cosim.masters", tool, str(system.resolve()), str(recording)]
-        # What the tool unpacks, and leaves behind when it aborts, goes with the directory.
-        environment = os.environ | {"TMPDIR": directory}
-        child = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace")
+        # What the tool unpacks, and leaves behind when it aborts, goes with the directory, and so does what the FMUs write.
+        child = subprocess.run(
+            command("cosim.masters", tool, str(system.resolve()), str(recording)),
+            cwd=directory,
+            env=environment({"TMPDIR": directory}),
+            capture_output=True,
+            text=True,
+            errors="replace",
+        )
         if child.returncode == 0:
             return read_csv(recording)
     words = [line.strip() for line in (child.stdout + child.stderr).splitlines() if line.strip()]
