@@ -4,13 +4,14 @@ An innovation nu (ny) of covariance S is tested in three ways, each in units of 
 
 - One output of a sample farther than `tuning.gate` standard deviations from its prediction is an outlier: it does not act.
 - The tests of `consistency` decide whether estimate and samples contradict each other: status `inconsistent`.
-- `doubt`, a cumulative sum (Page, Biometrika 41, 1954) of the clipped nu' S^-1 nu / dof above a drift, tells a run of outliers from single
-  ones: then the estimate is wrong, not the sensor. The covariance starts again around the estimate; where that does not help, the estimate
-  starts again at the guess. Each try has more patience than the one before it, until the estimate holds.
+- Outliers in a row say that the estimate is wrong, not the sensor. So does `doubt`, a cumulative sum (Page, Biometrika 41, 1954) of the
+  clipped nu' S^-1 nu / dof above a drift. The covariance starts again around the estimate; where that does not help, the estimate starts
+  again at the guess. Where it comes back before the samples fit, starting again did not help: the next time takes twice as much of it.
 
 Where nobody says what the measurement noise is, the matrices of a design fix the gain only: scaled all by one factor, they give the same
 estimate. The factor is estimated from the innovations, `level`, and the deviations shown are in its scale. While the samples contradict the
-estimate it hardly grows.
+estimate it hardly grows. Where the noise was given, the level only widens the gate and lessens the doubt: outliers are far from what other
+samples show, also on a model that is worse than its noise says.
 """
 
 from __future__ import annotations
@@ -38,9 +39,10 @@ GATE = Port(
 )
 TUNING = (ports.FALSE_ALARM, ports.DEVIATION_LIMIT, GATE)
 
+ROW = 10  # outliers in a row, two for each that is none
 LARGEST, DRIFT, THRESHOLD = 8.0, 2.5, 60.0  # of `doubt`: eleven samples in a row far off; noise alone does not reach it
-PATIENCE = 2.0  # from the second try on, times the threshold
-PROVEN = 100  # samples after a restart that end it
+MOST_TRIES = 7  # each with twice the threshold of the one before
+PROVEN = 60  # samples after a restart, or samples in a row that fit, that end it
 LOSS, MOST_DISTRUST = 4.0, 500.0  # trust is away for so many samples for each that contradicted, and so many at most
 PROBATION = 1000.0  # the same after a restart of a paper's design, which follows what it is given for very long
 EARNED = 20  # samples in a row that fit, after which trust can be lost for longer than a sample
@@ -71,18 +73,21 @@ class Watch:
 
     @property
     def state(self) -> Layout:
-        return Layout(
-            tests=memory_size(len(self.model.outputs)),
-            level=1,
-            unit=1,
-            peak=1,
-            doubt=1,
-            quiet=1,
-            distrust=1,
-            age=1,
-            tries=1,
-            restarted=1,
+        single = (
+            "level",
+            "unit",
+            "peak",
+            "quiet",
+            "earned",
+            "distrust",
+            "doubt",
+            "tries",
+            "row",
+            "turn",
+            "age",
+            "restarted",
         )
+        return Layout(tests=memory_size(len(self.model.outputs)), **dict.fromkeys(single, 1))
 
     @property
     def start(self) -> Any:
@@ -147,7 +152,7 @@ def verdict(
         tuning: with `false_alarm` and `gate`.
     """
     s = watch.state.unpack(memory)
-    unit = watch._unit(s.level, variances)
+    unit = watch._unit(1 if watch.known else s.level, variances)
     each = innovation**2 / ca.fmax(variances, 1e-300)
     whole = squared + ca.sum1(ca.if_else(outlying, each, 0))
     dof = ca.sum1(valid)
@@ -157,25 +162,32 @@ def verdict(
     mean = whole / ca.fmax(dof, 1)
     settled = s.age >= watch.settle
 
-    ratio = ca.if_else(finite(mean / unit), ca.fmin(mean / unit, LARGEST), LARGEST)
-    doubt = ca.if_else(ca.logic_and(settled, dof > 0), ca.fmax(s.doubt + ratio - DRIFT, 0), s.doubt)
-    again = ca.logic_and(doubt > THRESHOLD * ca.if_else(s.tries > 0, PATIENCE, 1), tuning.gate < NEVER)
-    restart = ca.logic_and(again, s.tries == 1)
-    tries = ca.if_else(again, 1 + restart, ca.if_else(s.age >= PROVEN, 0, s.tries))
+    gross = ca.sum1(outlying) > 0
+    row = ca.if_else(dof > 0, ca.if_else(gross, s.row + 1, ca.fmax(s.row - 2, 0)), s.row)
+    usual = mean / watch._unit(s.level, variances)
+    ratio = ca.if_else(finite(usual), ca.fmin(usual, LARGEST), LARGEST)
+    doubtful = ca.logic_and(ca.logic_and(settled, dof > 0), ca.logic_not(gross))
+    doubt = ca.if_else(doubtful, ca.fmax(s.doubt + ratio - DRIFT, 0), s.doubt)
+    mild = doubt > THRESHOLD * 2**s.tries
+    again = ca.logic_and(ca.logic_or(mild, row >= ROW * 2 ** ca.fmin(s.tries, 3)), tuning.gate < NEVER)
+    restart = ca.logic_and(again, s.turn)
     contradicted = ca.logic_or(raised, again)
-    quiet = ca.if_else(s.quiet >= EARNED, EARNED, ca.if_else(contradicted, 0, s.quiet + (dof > 0)))
-    more = ca.fmax(ca.fmin(s.distrust + LOSS, ca.if_else(quiet >= EARNED, MOST_DISTRUST, LOSS)), s.distrust)
+    quiet = ca.if_else(contradicted, 0, ca.fmin(s.quiet + (dof > 0), PROVEN))
+    earned = ca.logic_or(s.earned, quiet >= EARNED)
+    more = ca.fmax(ca.fmin(s.distrust + LOSS, ca.if_else(earned, MOST_DISTRUST, LOSS)), s.distrust)
     distrust = ca.if_else(contradicted, more, ca.fmax(s.distrust - (dof > 0), 0))
     if watch.weighted:
         distrust = ca.if_else(again, PROBATION, distrust)
 
-    beginning = ca.logic_and(s.restarted == 0, s.age < FINDING)
+    tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + again, MOST_TRIES), 0)
+    turn = ca.if_else(again, ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
+    beginning = 0 if watch.known else ca.logic_and(s.restarted == 0, s.age < FINDING)
     most = ca.if_else(beginning, HUGE, ca.if_else(raised, 2.0, LARGEST) * s.level)
     heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
-    rate = 1 / ca.if_else(s.restarted, MEMORY, ca.fmin(s.age + 1, MEMORY))
-    level = 1 if watch.known else ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
+    rate = 1 / ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, ca.fmin(s.age + 1, MEMORY))
+    level = ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
     peak = ca.if_else(beginning, ca.fmax(s.peak, level), s.peak)
-    level = ca.fmin(level, MOST_LEVEL * peak)
+    level = ca.fmax(level, 1) if watch.known else ca.fmin(level, MOST_LEVEL * peak)
     after = watch.state.pack(
         {
             "tests": ca.if_else(again, 0, result.memory),
@@ -184,9 +196,12 @@ def verdict(
             "peak": peak,
             "doubt": ca.if_else(again, 0, doubt),
             "quiet": quiet,
+            "earned": earned,
             "distrust": distrust,
             "age": ca.if_else(again, 0, ca.fmin(s.age + (dof > 0), PROVEN)),
             "tries": tries,
+            "row": ca.if_else(again, 0, row),
+            "turn": turn,
             "restarted": ca.logic_or(s.restarted, again),
         }
     )

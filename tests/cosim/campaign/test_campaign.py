@@ -91,7 +91,7 @@ def test_the_table_says_of_each_run_what_the_same_run_alone_gives(system: Path, 
     settled = np.r_[11:21, 31:41]
     assert float(row[f"settled_rms{ERROR}"]) == pytest.approx(np.sqrt(np.mean(error[settled] ** 2)), rel=1e-12)
     fitting = int(row["observer.diagnostics.status.estimating"])
-    assert fitting == np.sum(result["observer.diagnostics.status"] == CODE.estimating) > 20
+    assert fitting == np.sum(result["observer.diagnostics.status"] == CODE.estimating) > 5
     assert row["failure"] == "" and row["non_finite"] == row["observer.diagnostics.solver_failures"] == "0"
 
 
