@@ -41,7 +41,7 @@ TUNING = (ports.FALSE_ALARM, ports.DEVIATION_LIMIT, GATE)
 
 ROW = 10  # outliers in a row, two for each that is none
 LARGEST, DRIFT, THRESHOLD = 8.0, 2.5, 60.0  # of `doubt`: eleven samples in a row far off; noise alone does not reach it
-MOST_TRIES = 7  # each with twice the threshold of the one before
+MOST_TRIES = 2  # each with twice the threshold of the one before
 PROVEN = 60  # samples after a restart, or samples in a row that fit, that end it
 LOSS, MOST_DISTRUST = 4.0, 500.0  # trust is away for so many samples for each that contradicted, and so many at most
 PROBATION = 1000.0  # the same after a restart of a paper's design, which follows what it is given for very long
