@@ -12,7 +12,7 @@ from rich.markup import escape
 from commands.console import err, fail, say
 from cosim.whole import whole
 from fmu_src.compliance.check import check as check_fmu
-from fmu_src.compliance.finding import CannotCheck, Report, one_line
+from fmu_src.compliance.finding import CannotCheck, Report, escaped, one_line
 from fmu_src.compliance.junit import write_junit
 
 _OUTPUT = Console(soft_wrap=True, highlight=False)
@@ -42,11 +42,12 @@ def check(
             with err.status(escape(str(path))) as status:
                 report = check_fmu(path, lambda rule: status.update(escape(f"{path}: {rule}")))  # noqa: B023  # called here only
         except CannotCheck as error:
-            say(str(error))
-            refused[path] = str(error)
+            reason = escaped(str(error))
+            say(reason)
+            refused[path] = reason
             continue
         except Exception as error:  # a fault of the check itself: the other FMUs are checked all the same
-            reason = f"{path}: the check failed: {type(error).__name__}: {one_line(str(error))}"
+            reason = escaped(f"{path}: the check failed: {type(error).__name__}: {one_line(str(error))}")
             say(reason)
             refused[path] = reason
             continue
@@ -64,10 +65,11 @@ def check(
 
 
 def _show(report: Report) -> None:
+    fmu = escaped(str(report.fmu))
     for found in report.findings:
-        _OUTPUT.print(f"{report.fmu}: {found}", style="red", markup=False)
+        _OUTPUT.print(f"{fmu}: {found}", style="red", markup=False)
     for note in report.notes:
-        _OUTPUT.print(f"{report.fmu}: note: {note}", style="yellow", markup=False)
+        _OUTPUT.print(f"{fmu}: note: {note}", style="yellow", markup=False)
     count = len(report.findings)
     verdict = "no finding" if count == 0 else "1 finding" if count == 1 else f"{count} findings"
-    _OUTPUT.print(f"{report.fmu}: {len(report.checked)} rules, {verdict}", style="bold", markup=False)
+    _OUTPUT.print(f"{fmu}: {len(report.checked)} rules, {verdict}", style="bold", markup=False)

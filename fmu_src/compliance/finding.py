@@ -54,11 +54,15 @@ class Report:
     notes: list[str] = field(default_factory=list)
 
 
+def escaped(text: str) -> str:
+    """`text` without what could end or rewrite a line of a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
 def one_line(text: str) -> str:
-    """`text` without what could end or rewrite a line of a terminal, and not longer than LONGEST."""
-    cut = text.strip()[:LONGEST]
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in cut)
-    return shown if len(text.strip()) <= LONGEST else f"{shown} ..."
+    """The same, not longer than LONGEST."""
+    cut = escaped(text.strip()[:LONGEST])
+    return cut if len(text.strip()) <= LONGEST else f"{cut} ..."
 
 
 def by_cause(findings: Iterable[Finding]) -> list[Finding]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
 
-from fmu_src.compliance.finding import Finding, Report
+from fmu_src.compliance.finding import Finding, Report, escaped
 from fmu_src.compliance.rules import RULES
 
 
@@ -27,10 +27,10 @@ def write_junit(reports: list[Report], refused: Mapping[Path, str], path: Path) 
     """
     document = JUnitXml("FMI compliance")
     for report in reports:
-        suite = TestSuite(report.fmu.name)
+        suite = TestSuite(escaped(report.fmu.name))
         for rule in report.checked:
             section = RULES[rule].section if report.version == "2.0" else RULES[rule].section3
-            case = TestCase(f"{rule} [{section}]: {RULES[rule].demand}", classname=report.fmu.stem)
+            case = TestCase(f"{rule} [{section}]: {RULES[rule].demand}", classname=escaped(report.fmu.stem))
             found = [finding for finding in report.findings if finding.rule == rule]
             if found:
                 case.result = [_failure(finding) for finding in found]
@@ -39,9 +39,9 @@ def write_junit(reports: list[Report], refused: Mapping[Path, str], path: Path) 
             suite.add_property(f"note {number}", note)
         document.add_testsuite(suite)
     for file, reason in refused.items():
-        case = TestCase("is an FMU that can be checked", classname=file.stem)
+        case = TestCase("is an FMU that can be checked", classname=escaped(file.stem))
         case.result = [Error(reason)]
-        suite = TestSuite(file.name)
+        suite = TestSuite(escaped(file.name))
         suite.add_testcase(case)
         document.add_testsuite(suite)
     document.write(str(path), pretty=True)

@@ -23,6 +23,7 @@ MOST_BYTES = 2 << 30
 MOST_BYTES_OF_DESCRIPTION = 128 << 20
 MOST_BYTES_OF_XML = 8 << 20  # of another document that is read here; what is in resources/ is not
 MOST_FILES = 100_000
+MOST_FOLDERS = 100  # one in the other
 MOST_MARKS = 5_000_000  # tags and attributes of the description: each takes a hundred bytes or two of memory
 
 _VERSIONS = re.compile(r"2\.0\Z|3\.0(\.\d+)?\Z")
@@ -92,6 +93,9 @@ def _check_size(path: Path, archive: zipfile.ZipFile) -> None:
         )
     for entry in entries:
         name, size = entry.filename, entry.file_size
+        if name.count("/") > MOST_FOLDERS:
+            text = f"lies {name.count('/')} folders deep; at most {MOST_FOLDERS} are unpacked here"
+            raise NotAnFmu(f"{path}: {one_line(name)} {text}")
         limit = MOST_BYTES_OF_DESCRIPTION if name == DESCRIPTION else MOST_BYTES_OF_XML
         if name.endswith(".xml") and not name.startswith("resources/") and size > limit:
             text = f"inflates to {size / 2**20:.0f} MiB; at most {limit >> 20} MiB are checked here"

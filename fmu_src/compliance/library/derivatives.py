@@ -141,6 +141,7 @@ def along_a_run(fmu: Fmu) -> Iterator[Finding]:
     instance = fmu.initialized()
     assert isinstance(instance, ExchangeInstance)
     variables = _derivatives(instance)
+    stop = np.inf if fmu.subject.stop is None else fmu.subject.stop
     for _ in range(MOST_STEPS):
         slopes, indicators = instance.vector("Derivatives"), instance.indicators()
         values = instance.read(variables)
@@ -154,7 +155,7 @@ def along_a_run(fmu: Fmu) -> Iterator[Finding]:
             yield finding(
                 "state-derivatives", f"event indicator {place + 1}", "a finite number", f"{indicators[place]}"
             )
-        if not np.all(np.isfinite(slopes)) or instance.progress.ended:
+        if not np.all(np.isfinite(slopes)) or instance.progress.ended or instance.time >= stop:
             return
         instance.step()
 

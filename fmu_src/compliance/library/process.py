@@ -222,5 +222,6 @@ def _ended(case: Case, how: str) -> Finding:
 
 def _cause(code: int) -> str:
     if code < 0:
-        return f"a crash ({signal.Signals(-code).name})"
+        known = {member.value: member.name for member in signal.Signals}
+        return f"a crash ({known.get(-code, f'signal {-code}')})"
     return f"the end of the process (exit code {code})"

@@ -108,6 +108,29 @@ def test_a_library_outside_of_the_fmu_is_never_loaded(make: Make, tmp_path: Path
     assert not mark.exists()
 
 
+def test_a_files_name_forges_no_line(make: Make, tmp_path: Path) -> None:
+    for content in (make().read_bytes(), b"no zip"):
+        path = tmp_path / "a\nb\x1b[2J.fmu"
+        path.write_bytes(content)
+        _, (line,) = lines(path)
+        assert "a\\nb\\x1b[2J.fmu" in line
+
+
+def test_a_path_that_is_too_long_is_one_line(tmp_path: Path) -> None:
+    code, (line,) = lines(tmp_path / ("n" * 300))
+    assert code == 2 and "File name too long" in line
+
+
+def test_any_signal_is_a_crash(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    (finding,) = check(make(defect="signal")).findings
+    assert finding.found == "a crash (signal 40) in fmi2DoStep"
+
+
+def test_an_fmu_that_closes_files_of_the_process_is_found(make: Make) -> None:
+    (finding,) = check(make(defect="closes")).findings
+    assert finding.found.endswith("in fmi2DoStep")
+
+
 def test_a_name_forges_no_line(make: Make) -> None:
     code, printed = lines(make(edits={'name="limit"': "name=\"'a&#10;x.fmu: 70 rules, no finding'\""}))
     assert code == 1 and len(printed) == 2
@@ -130,6 +153,7 @@ def test_files_that_no_file_system_takes_are_one_line(make: Make) -> None:
         ("MOST_BYTES", 1 << 10, "GiB are checked here"),
         ("MOST_BYTES_OF_DESCRIPTION", 1 << 10, "MiB are checked here"),
         ("MOST_BYTES_OF_XML", 10, "extra/x.xml inflates to 0 MiB; at most 0 MiB are checked here"),
+        ("MOST_FOLDERS", 1, r"binaries/linux64/broken\.so lies 2 folders deep; at most 1 are unpacked here"),
         ("MOST_FILES", 2, "holds 3 files; at most 2 are checked here"),
     ],
 )

@@ -88,6 +88,11 @@ static void misbehave(const State *state)
 #ifndef _WIN32
     if (has("kills-its-parent"))
         kill(getppid(), SIGKILL);
+    if (has("signal"))
+        raise(40);
+    if (has("closes"))
+        for (int file = 3; file < 300; file++)
+            close(file);
     if (has("garbage"))
         for (int file = 3; file < 300; file++)
             if (fcntl(file, F_GETFD) != -1 && write(file, "garbage\n", 8) < 0)
