@@ -104,6 +104,8 @@ def _check_library(directory: Path, description: Description, report: Report, pr
             report.notes.append(f"no binary for this machine ({library or 'no name for it'}): {name} was not driven")
         elif any(found.subject == library and found.rule in _UNUSABLE for found in report.findings):
             report.notes.append(f"{library} is not sound: {name} was not driven")
+        elif interface == "ModelExchange" and any(found.rule == "structure-index" for found in report.findings):
+            report.notes.append(f"ModelStructure does not say what the states are: {name} was not driven")
         else:
             subject = _subject(directory, description, interface, library)
             experiments = _experiments(directory, subject, report) if interface == "CoSimulation" else []

@@ -32,6 +32,12 @@ def test_a_defect_of_model_exchange_is_found_by_its_rule_alone(make_exchange: Ma
     assert found(make_exchange(defect=defect)) == {DEFECTS_OF_MODEL_EXCHANGE[defect]}
 
 
+def test_without_known_states_it_is_not_driven(make_exchange: Make) -> None:
+    report = check(make_exchange(edits={'<Derivatives><Unknown index="3"': '<Derivatives><Unknown index="33"'}))
+    assert {finding.rule for finding in report.findings} == {"structure-index"}
+    assert report.notes == ["ModelStructure does not say what the states are: model exchange was not driven"]
+
+
 def test_of_two_interfaces_a_finding_and_a_note_say_which(make_exchange: Make, tmp_path: Path) -> None:
     source = (BROKEN / "exchange.c").read_text()
     missing = sorted(functions("CoSimulation") - functions("ModelExchange"))
