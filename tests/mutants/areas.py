@@ -23,7 +23,7 @@ class Area:
         return sorted(path.relative_to(root).as_posix() for path in found if path.stat().st_size)
 
 
-SHARED = ("tests/observers/test_time.py", "tests/observers/test_diagnostics.py")
+SHARED = ("tests/observers/test_explicit_time.py", "tests/observers/test_diagnostics.py")
 
 
 def _method(name: str, *tests: str) -> Area:

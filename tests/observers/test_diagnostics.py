@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from swing import CONVERGENT, EXACT, SWING, T0, TS
 
 from observers.instance import Instance
 from reference_models.plant import plant
-from test_time import CONVERGENT, EXACT, SWING, T0, TS
 
 KINDS = {name: made[0] for name, made in (EXACT | CONVERGENT).items()}
 GUESS = {"guess.a": 0.7, "guess.b": -0.1}
