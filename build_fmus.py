@@ -25,6 +25,7 @@ from pathlib import Path
 from cosim.errors import suggest
 from cosim.system import Element, System, write_ssp
 from fmu_src import ExportError, export
+from fmu_src.archive import check_writable
 from observers.component import Component
 from reference_models import (
     calvillo_alamir,
@@ -135,6 +136,9 @@ def build_all(
 
     `progress` is told what is being built, how many files are written and how many there will be.
     """
+    check_writable(out)
+    if work.systems:
+        check_writable(out.resolve().parent / "systems")
     total = len(work.fmus) + len(work.systems)
     exported: dict[str, Path] = {}
     for name, path in _export_all(work.fmus, out, platforms, target, lambda name: progress(name, len(exported), total)):
@@ -162,8 +166,8 @@ def _export_all(
             building(name)
             yield name, _export(source, out, platforms, target)
         return
-    # Ctrl-C reaches all processes: this one answers, the others finish what they are at.
-    with ProcessPoolExecutor(processes, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+    # Ctrl-C reaches all processes: this one answers, and ends the others.
+    with ProcessPoolExecutor(processes, get_context("spawn"), _take_orders) as pool:
         waiting = {pool.submit(_export_named, name, out, platforms, target): name for name in fmus}
         building(next(iter(fmus)))
         try:
@@ -173,8 +177,18 @@ def _export_all(
                     building(next(iter(waiting.values())))  # the first that was submitted is being built
         except BrokenExecutor as error:
             raise ExportError("a process that built FMUs was ended from outside: memory may have run out") from error
+        except KeyboardInterrupt:
+            for process in list(pool._processes.values()):  # the pool itself would let each finish
+                process.terminate()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _take_orders() -> None:
+    """In a process that builds: Ctrl-C is the parent's affair; its SIGTERM is an exception, so that the compiler ends too."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
 def _export(source: Source, out: Path, platforms: Sequence[str], target: str) -> Path:

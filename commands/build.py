@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from build_fmus import Build, build_all, choose, components_of
@@ -42,9 +44,12 @@ def build(
     if file is not None and only:
         fail("--file and --only exclude each other", 2)
     try:
-        work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
+        with err.status(escape(f"working out what {file} defines")) if file is not None else nullcontext():
+            work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
     except (ValueError, KeyError) as error:
         fail(str(error.args[0]), 2)
+    except KeyboardInterrupt:
+        fail("stopped; nothing was built", 130)
     try:
         columns = (
             TextColumn("{task.description:<32}"),
@@ -69,6 +74,8 @@ def build(
         fail(f"cannot write to {out}: {error.strerror or error}", 2)
     except (ExportError, ValueError) as error:
         fail(str(error), 2)
+    except KeyboardInterrupt:
+        fail(f"stopped; what was finished is in {out}", 130)
     for path in written:
         print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")
     for note in notes:

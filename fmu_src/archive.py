@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 import zipfile
@@ -10,6 +11,19 @@ from pathlib import Path
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _UNIX = 3
+
+
+def check_writable(folder: Path) -> None:
+    """See that a file could be written into `folder`, or the folder be made; what is tried is gone afterwards.
+
+    Raises:
+        OSError: it could not.
+    """
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(there))
+    with tempfile.TemporaryFile(dir=there):  # the rights alone do not tell: of root, of what is mounted to be read only
+        pass
 
 
 def write_zip(path: Path, contents: Mapping[str, bytes]) -> None:

@@ -9,12 +9,12 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmu_src.archive import write_zip
+from fmu_src.archive import check_writable, write_zip
 from fmu_src.description.model_description import describe
 from fmu_src.documentation import pages as documentation
 from fmu_src.documentation.reference import reference_files
 from fmu_src.errors import ExperimentFailed, ExportError, ExportWarning
-from fmu_src.native.compiler import compile_library
+from fmu_src.native.compiler import check_compiler, compile_library
 from fmu_src.native.embedded import embedded
 from fmu_src.native.sources import fixed_sources, functions, prefix, tables
 from fmu_src.platforms import PLATFORMS, resolve
@@ -46,6 +46,7 @@ def export(
     """
     if target not in TARGETS:
         raise ExportError(f"target '{target}' is unknown; known: {', '.join(TARGETS)}")
+    check_writable(Path(directory))
     guid, contents = TARGETS[target](component, platforms)
     try:
         references, failure = reference_files(component, driven_by), ""
@@ -62,6 +63,7 @@ def export(
 def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
     """GUID and contents by path."""
     folders = resolve(platforms)
+    check_compiler()
     constant = fixed_sources() | prefix(component) | functions(component)
     source_files = sorted(name for name in [*constant, "component.c"] if name.endswith(".c"))
     without_guid = {

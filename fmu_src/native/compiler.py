@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
-import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from fmu_src.errors import ExportError
@@ -24,6 +25,7 @@ FLAGS = (
     "-fno-sanitize=undefined",  # zig's default in some modes; its runtime has no place in an FMU
     "-fPIC",
 )
+MOST_ERRORS = 3  # of the compiler that a message holds
 LINK = ("-shared", "-g0", "-s")
 
 
@@ -39,7 +41,7 @@ def compile_library(name: str, folder: Path, platform: str, libraries: Sequence[
     """The shared library made of all `*.c` in `folder`, linked with `libraries`, for a platform of PLATFORMS.
 
     Raises:
-        ExportError: the compiler refused; the message holds what it said.
+        ExportError: the compiler is missing, does not start, was ended or refused; the message holds what it said first.
     """
     target = PLATFORMS[platform]
     library = f"{name}{target.suffix}"
@@ -47,9 +49,7 @@ def compile_library(name: str, folder: Path, platform: str, libraries: Sequence[
     install_name = [f"-Wl,-install_name,@rpath/{library}"] if target.suffix == ".dylib" else []
     # Relative names only, so that no path of this machine gets into the library.
     command = [
-        sys.executable,
-        "-m",
-        "ziglang",
+        str(_compiler()),
         "cc",
         "-target",
         target.target,
@@ -63,12 +63,69 @@ def compile_library(name: str, folder: Path, platform: str, libraries: Sequence[
     ]
     cache = str(cache_folder())
     environment = os.environ | {"ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}
-    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
-    if result.returncode != 0:
+    code, said = _run(command, folder, environment)
+    if code < 0:
         raise ExportError(
-            f"component '{name}': the C compiler refused its sources for {platform}:\n{result.stderr.strip()}"
+            f"component '{name}': the C compiler was ended by {signal.Signals(-code).name} for {platform}: memory may have run out"
         )
+    if code != 0:
+        raise ExportError(f"component '{name}': the C compiler refused its sources for {platform}: {_first(said)}")
     made = folder / library
     content = made.read_bytes()
     made.unlink()
     return content
+
+
+def check_compiler() -> None:
+    """Raise an ExportError where there is no compiler: before anything is worked out for it."""
+    _compiler()
+
+
+def _compiler() -> Path:
+    """The compiler's program, run without Python between, so that it can be ended."""
+    found = find_spec("ziglang")
+    folder = Path(found.origin).parent if found is not None and found.origin is not None else None
+    program = folder / ("zig.exe" if os.name == "nt" else "zig") if folder is not None else None
+    if program is None or not program.is_file():
+        raise ExportError(
+            "the C compiler is missing: install it by 'pip install ziglang' into this Python's environment"
+        )
+    return program
+
+
+def _run(command: Sequence[str], folder: Path, environment: dict[str, str]) -> tuple[int, str]:
+    """Exit code and error text of the compiler. Whatever ends this process's wait ends the compiler and what it started."""
+    try:
+        process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,  # a group of its own, which can be ended as one
+        )
+    except OSError as error:
+        raise ExportError(f"the C compiler {command[0]} does not start: {error.strerror or error}") from None
+    try:
+        said = process.communicate()[1]
+    except BaseException:
+        _end(process)
+        raise
+    return process.returncode, said
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    if os.name == "posix":
+        os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.wait()
+
+
+def _first(said: str) -> str:
+    """The first errors of what the compiler said: one usually makes the others."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    errors = [line for line in lines if "error" in line.lower()] or lines
+    return "; ".join(errors[:MOST_ERRORS]) or "it says nothing"
