@@ -51,7 +51,15 @@ def run(
     overrides = split_assignments(assignments)
     try:
         with late_progress() as progress:
-            result = run_system(system, stop=stop, step=step, overrides=overrides, inputs=input_file, progress=progress)
+            result = run_system(
+                system,
+                stop=stop,
+                step=step,
+                overrides=overrides,
+                inputs=input_file,
+                progress=progress,
+                limit=limit,
+            )
         failure = None
     except (SystemFileError, ExperimentError) as error:
         fail(str(error), 2)

@@ -10,6 +10,7 @@ from typing import Any
 import fmpy
 import pytest
 
+import strict_fmu
 from build_fmus import FMUS, SYSTEMS, Build, build_all
 from components import COMPONENTS
 from cosim.master import run
@@ -137,3 +138,18 @@ def other_masters() -> None:
     """Ecos and libcosim are installed."""
     for name, package in (("ecos", "ecospy"), ("libcosim", "libcosimpy")):
         need(imports(package), f"{name} is not installed here: see docs/masters.md")
+
+
+@pytest.fixture(scope="session")
+def strict_library(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return strict_fmu.compiled(tmp_path_factory.mktemp("strict"))
+
+
+@pytest.fixture
+def strict(strict_library: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """Writes an FMU called `name` of strict/strict.c; the other arguments as of `strict_fmu.description`.
+
+    It writes into the working directory, which is a folder of the test's own.
+    """
+    monkeypatch.chdir(tmp_path)
+    return lambda name="strict", **choices: strict_fmu.write(tmp_path / f"{name}.fmu", strict_library, **choices)

@@ -100,6 +100,8 @@ class Child:
             except BaseException as error:
                 if not isinstance(error, (SystemFileError, ExperimentError, RunError)):
                     self._kill()  # Ctrl-C: nothing goes on behind our back
+                if isinstance(error, (SystemFileError, ExperimentError)) and isinstance(whole, Path):
+                    raise type(error)(str(error).replace(str(whole), str(system))) from None  # as the caller calls it
                 raise
 
     def _send(self, request: Request, folder: Path) -> None:

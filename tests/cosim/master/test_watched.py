@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from strict_fmu import FAILURES
 
 import cosim.master
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master import watched
 from cosim.master.slave import RunError
 from cosim.system import Element, System
+from strict_fmu import FAILURES
 
 Strict = Callable[..., Path]
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
 
 from cosim.master import watched
 from cosim.masters import process
 from cosim.masters.experiment import MasterError, Recording
+from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
 
 Strict = Callable[..., Path]
 PORTS = connector("u", "input") + connector("y", "output") + connector("gain", "parameter")

@@ -9,16 +9,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import strict_fmu
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ssp_text import UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
 
+import strict_fmu
 from cosim import archive
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master.run import prepare
 from cosim.system import read_ssp
 from cosim.system.ssp_files import STRUCTURE
+from ssp_text import UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
 
 Strict = Callable[..., Path]
 FMU, VALUES = "resources/a.fmu", "resources/p.ssv"

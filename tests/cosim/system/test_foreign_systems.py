@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
 
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master import run
 from cosim.results import write_columns
 from cosim.system import read_ssp
+from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
 
 Strict = Callable[..., Path]
 M, KM, S = ('<ssc:Real unit="m"/>', '<ssc:Real unit="km"/>', '<ssc:Real unit="s"/>')
