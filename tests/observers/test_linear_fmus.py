@@ -52,7 +52,7 @@ def test_the_riccati_observers_fmu_is_the_sampled_kalman_filter(slave: Callable[
     )
     found = list(estimates(instance, names_of(n), y, u, Ts))
     expected = list(kalman(A, C, N, R, Q0, m0, y, u, Ts))
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=6e-11)
 
 
 def detectable(rng: np.random.Generator, n: int, ny: int) -> tuple[np.ndarray, np.ndarray]:
@@ -117,10 +117,10 @@ def test_the_least_squares_observers_fmu_keeps_the_contraction_identity_on_every
     # An interval's begin is seen one sample later, once that sample has weighed half in the new interval.
     first = expm(A * Ts) @ np.linalg.inv(np.eye(3) / p0 + gamma * Ts / 2 * C.T @ C) / p0
     errors = [np.linalg.solve(first, value - states[k + 1]) for k, value in enumerate(found) if k % count == 0]
-    np.testing.assert_allclose(errors[0], [-1.0, 2.0, -0.5], atol=1e-11)
+    np.testing.assert_allclose(errors[0], [-1.0, 2.0, -0.5], rtol=0, atol=9e-15)
     assert len(errors) == intervals + 1
     for before, after in pairwise(errors):
-        np.testing.assert_allclose(after, factor @ before, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(after, factor @ before, rtol=0, atol=3e-14)
     assert instance.get("diagnostics.intervals") == intervals
     actual, certified = (instance.get(f"diagnostics.{name}") for name in ("contraction", "certified_contraction"))
     assert np.linalg.norm(factor, 2) * (1 - 1e-9) <= actual <= certified * (1 + 1e-3)
@@ -146,5 +146,5 @@ def test_samples_that_have_not_arrived_are_as_if_they_were_not_there_in_the_ricc
         found.append([instance.get(name) for name in names_of(n)])
     there = np.where(arrives, y, np.nan)
     expected = list(kalman(A, C, np.eye(n), np.eye(ny), np.eye(n), np.zeros(n), there, u, Ts))
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-13)
     assert instance.get("diagnostics.rejected_samples") == 0

@@ -178,12 +178,12 @@ def test_a_complement_spans_the_left_null_space(n, q):
     E = np.random.default_rng(n).normal(size=(n, q))
     found = complement(E)
     assert found is not None
-    np.testing.assert_allclose(found.T @ E, 0, atol=1e-14)
-    np.testing.assert_allclose(found.T @ found.R, np.eye(n - q), atol=1e-14)
-    np.testing.assert_allclose(found.L @ E, np.eye(q), atol=1e-13)
+    np.testing.assert_allclose(found.T @ E, 0, rtol=0, atol=5e-15)
+    np.testing.assert_allclose(found.T @ found.R, np.eye(n - q), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.L @ E, np.eye(q), rtol=0, atol=5e-15)
     if q:
         basis = null_space(E.T)
-        np.testing.assert_allclose(basis @ basis.T @ found.T.T, found.T.T, atol=1e-12)
+        np.testing.assert_allclose(basis @ basis.T @ found.T.T, found.T.T, rtol=0, atol=5e-15)
 
 
 def test_a_matrix_without_full_column_rank_has_no_complement():

@@ -61,8 +61,10 @@ def test_the_forced_response_is_exact_for_a_held_and_a_linear_input(kind):
                 )
                 state, at = run.y[:, -1], end
         expected.append(state)
-    np.testing.assert_allclose(found, expected, atol=2e-9)
-    np.testing.assert_allclose(input_at(Ts, L, np.array([0.05, 0.77]), kind) @ values, [u(0.05), u(0.77)], atol=1e-14)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-9)
+    np.testing.assert_allclose(
+        input_at(Ts, L, np.array([0.05, 0.77]), kind) @ values, [u(0.05), u(0.77)], rtol=0, atol=6e-15
+    )
 
 
 def linear_model():
