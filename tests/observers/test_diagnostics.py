@@ -9,6 +9,7 @@ import pytest
 from swing import CONVERGENT, EXACT, SWING, T0, TS
 
 from observers.instance import Instance
+from observers.status import CODE
 from reference_models.plant import plant
 
 KINDS = {name: made[0] for name, made in (EXACT | CONVERGENT).items()}
@@ -77,3 +78,28 @@ def test_the_estimate_moves_on_from_the_filtered_one_as_the_model_does(kind: str
         expected = [moved.get(f"x.{name}") for name in "ab"]
         limit = 1e-3 if "stiff" in kind or "canonical" in kind else 1e-9
         np.testing.assert_allclose(found, expected, rtol=0, atol=limit)
+
+
+@pytest.mark.parametrize("kind", ["pseudospectral", "segments", "arrival cost", "spline"])
+@pytest.mark.parametrize("part", [0.5, 1.5])
+def test_the_status_is_uncertain_where_a_standard_deviation_exceeds_its_limit(kind: str, part: float) -> None:
+    """The limit is half the largest deviation of the last sample, or half as much again, in units of nominal values (here 1).
+
+    The status judges the deviations at the sample, what is shown are those of the current time.
+    """
+    made = KINDS[kind](TS)
+    first = Instance(made, GUESS, t0=T0)
+
+    def follow(run: Instance) -> list[tuple[float, float, float]]:
+        true, rng, rows = Instance(plant(SWING), t0=T0), np.random.default_rng(4), []
+        for k in range(25):
+            run.set("y", true.get("y") + 0.003 * rng.normal())
+            run.step(T0 + k * TS, TS)
+            true.step(T0 + k * TS, TS)
+            deviation = max(run.get(f"diagnostics.std.{name}") for name in "ab")
+            rows.append((deviation, run.get("diagnostics.status"), run.get("diagnostics.trusted")))
+        return rows
+
+    largest = follow(first)[-1][0]
+    rows = follow(Instance(made, GUESS | {"tuning.deviation_limit": part * largest}, t0=T0))
+    assert rows[-1][1:] == ((CODE.uncertain, 0) if part < 1 else (CODE.estimating, 1))

@@ -121,14 +121,18 @@ def test_with_a_huge_margin_the_tube_is_the_noises_bound_around_every_sample() -
     assert observer.get("diagnostics.constraint_violation") < 1e-6
 
 
-def test_the_estimated_output_lies_in_the_tube() -> None:
-    y, _ = noisy(120)
+def test_the_estimated_output_lies_in_the_tube_and_the_tube_around_the_true_one() -> None:
+    """The short form of Example 4's claims: noise of 0.577 rms, a tube 2 wide without Problem 3."""
+    y, true = noisy(120)
     rows, observer = followed(pseudospectral(DUFFING_KNOWN, **LONG, noise_bound=1.0), y)
     solved = np.isin(rows[:, 3], [CODE.estimating, CODE.uncertain])
     assert solved.sum() > 60
     inside = (rows[:, 0] >= rows[:, 1] - 1e-5) & (rows[:, 0] <= rows[:, 2] + 1e-5)
     assert inside[solved].all()
     assert observer.get("diagnostics.constraint_violation") < 1e-6
+    assert np.all((rows[:, 1] <= true) & (true <= rows[:, 2]))
+    assert np.median((rows[:, 2] - rows[:, 1])[60:]) < 0.5
+    assert np.sqrt(np.mean((rows[:, 0] - true)[60:] ** 2)) < 0.15
 
 
 def test_a_noise_bound_that_is_too_small_is_said_and_survived() -> None:
