@@ -161,7 +161,18 @@ def _compile_shell() -> int:
 
 def _pytest(tree: Path, folder: Path, tests: Sequence[str], times: Path, measure: bool) -> int:
     known = [test for test in tests if (tree / test).exists()]
-    arguments = ["--maxfail=20" if measure else "-x", "-q", "-m", "not long", "-p", "no:cacheprovider", "-p", "no:xdist", "--tb=line", "-rfE"]
+    arguments = [
+        "--maxfail=20" if measure else "-x",
+        "-q",
+        "-m",
+        "not long",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "--tb=line",
+        "-rfE",
+    ]
     arguments += [f"--basetemp={folder / 'temporary'}", f"--rootdir={tree}", "-c", str(tree / "pyproject.toml")]
     return pytest.main([*arguments, *known], plugins=[Quickest(times, measure)])
 
