@@ -134,7 +134,7 @@ def _share(h: float, t: float, sample_time: float) -> float:
     if simple > 0:
         return simple
     if sample_time > 0:
-        near = float(np.rint(x)) if x > 0.5 else 1 / float(np.rint(1 / x))
+        near = float(np.rint(x)) if x >= 1 else 1 / float(np.rint(1 / x))
     else:
         near, noise = float(np.rint(x * NANOSECONDS)) / NANOSECONDS, min(SNAP * x, noise)
     return near if abs(x - near) <= noise else x

@@ -308,6 +308,25 @@ def test_the_end_of_a_step_near_a_sample_instant_is_that_instant_and_no_other_is
         assert (clock.phase == 0) is on
 
 
+def test_a_step_that_is_a_difference_of_large_times_counts_as_what_it_was_rounded_from() -> None:
+    odd = 0.367879441  # [s], near no simple fraction
+    assert (
+        Clock(1e6, 0.0, label=1e6).after(1e6, odd + 3e-10).phase == odd
+    )  # whole nanoseconds, within the rounding of 1e6 s
+    assert Clock(0.0, 0.0, label=0.0).after(0.0, odd + 3e-10).phase == odd + 3e-10
+    late = 1.7e9  # [s], exact to 2.4e-7
+    for part, h in (
+        (1, 1e-3 + 1.5e-7),
+        (1, 1e-3 - 1.5e-7),
+        (2, 2e-3 + 1.5e-7),
+        (0.5, 5e-4 + 1.5e-7),
+        (0.25, 2.5e-4 - 1.5e-7),
+    ):
+        clock = Clock(late, 1e-3, label=late).after(late, h)
+        assert clock.whole + clock.phase == part, h
+    assert Clock(0.0, 1e-3, label=0.0).after(0.0, 2e-3 + 1.5e-7).phase > 0
+
+
 def test_two_faults_of_a_component_are_told_by_the_port_that_has_them() -> None:
     made = double_toy()
     for changes, words in (

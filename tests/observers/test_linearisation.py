@@ -91,6 +91,12 @@ def test_what_is_hidden_may_decay_by_itself() -> None:
         refuse_undetectable(hidden(-1.0, unknown_parameters=[Variable("theta")]), "method")
 
 
+def test_detectability_is_judged_at_time_zero() -> None:
+    """The hidden state decays then, and grows a second later."""
+    made = hidden(0.0, ode=lambda x, u, p, t: [-x.m, (2 * t - 1) * x.h])
+    refuse_undetectable(made, "method")
+
+
 def test_an_output_sees_through_algebraic_variables() -> None:
     made = Model(
         name="through",

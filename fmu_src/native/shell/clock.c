@@ -66,7 +66,7 @@ static double share_of(const Clock *clock, double t, double h)
         return simple;
     double near;
     if (sampled) {
-        near = x > 0.5 ? rint(x) : 1 / rint(1 / x);
+        near = x >= 1 ? rint(x) : 1 / rint(1 / x);
     } else {
         near = rint(x * NANOSECONDS) / NANOSECONDS;
         noise = fmin(SNAP * x, noise);
