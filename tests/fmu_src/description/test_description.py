@@ -16,12 +16,12 @@ from lxml import etree
 
 from components import COMPONENTS
 from fmu_src import ExportError, export
-from fmu_src.description.model_description import describe
+from fmu_src.description.model_description import describe, type_name
 from fmu_src.description.units import parse
 from fmu_src.native.sources import fixed_sources
-from observers.component import Component, Port
+from observers.component import Component, Enumeration, Port
 from reference_models.ramp import ramp
-from toys import feedthrough_toy, sampled_toy
+from toys import double_toy, feedthrough_toy, sampled_toy
 
 Path_of = Callable[[str], Path]
 
@@ -229,3 +229,115 @@ def test_the_version_is_the_distributions() -> None:
     root = etree.fromstring(describe(sampled_toy(), guid="", source_files=[]))
     assert root.get("version") == importlib.metadata.version("observer-fmus")
     assert root.get("license") == importlib.metadata.metadata("observer-fmus")["License"] == "BSD-2-Clause"
+
+
+# Of double_toy, in the order of value references: name, type, causality, variability, initial, min, max, nominal, start.
+EXPECTED = """
+a Real input continuous - - - 1.0 0.5
+flag Boolean input discrete - - - - true
+b Real input continuous - - - 1.0 -1.0
+start.s Real parameter fixed exact -10.0 10.0 1.0 0.25
+late_kick Real parameter fixed exact - - 1.0 0.27
+early_kick Real parameter fixed exact - - 1.0 0.13
+sample_time Real parameter fixed exact 0.01 1.0 1.0 0.1
+gain Real parameter tunable exact -3.0 4.0 1.0 2.0
+bias Real parameter tunable exact -1.0 1.0 1.0 0.5
+weight Integer parameter tunable exact -2 9 - 1
+enabled Boolean parameter tunable exact - - - true
+s Real output continuous calculated - - 1.0 -
+w Real output continuous calculated - - 1.0 -
+sampled_flag Boolean output discrete calculated - - - -
+total Integer output discrete calculated - - - -
+high_a Integer output discrete calculated - - - -
+high_b Integer output discrete calculated - - - -
+force Real output continuous calculated - - 1.0 -
+inverse Real output continuous calculated - - 1.0 -
+first Real local constant exact - - 1.0 0.125
+second Integer local constant exact - - - -3
+"""
+
+
+def test_every_attribute_of_every_variable_is_the_ports() -> None:
+    root = xml(double_toy())
+    found = []
+    for reference, element in enumerate(root.iter("ScalarVariable")):
+        assert element.get("valueReference") == str(reference)
+        own = [element.get(name) for name in ("causality", "variability", "initial")]
+        typed = [element[0].get(name) for name in ("min", "max", "nominal", "start")]
+        found.append(" ".join([element.get("name"), element[0].tag, *(value or "-" for value in own + typed)]))
+    assert found == EXPECTED.strip().splitlines()
+    units = {e.get("name"): (e[0].get("unit"), e[0].get("declaredType")) for e in root.iter("ScalarVariable")}
+    assert units["b"] == ("m/s2", "Real_m_per_s2") and units["inverse"] == ("s2/m", "Real_s2_per_m")
+    assert units["weight"] == (None, None) and units["gain"] == ("1", "Real_dimensionless")
+    types = {e.get("name"): e[0].get("unit") for e in root.iter("SimpleType")}
+    assert types["Real_m_per_s2"] == "m/s2" and types["Real_dimensionless"] == "1"
+
+
+def test_the_model_structure_names_outputs_and_what_they_depend_on_by_their_places() -> None:
+    root = xml(double_toy())
+    outputs = {name: on for name, on in unknowns(root, "Outputs").items() if on}
+    assert outputs == {"force": {"a"}, "inverse": {"b"}}
+    initial = {name: on for name, on in unknowns(root, "InitialUnknowns").items() if on}
+    assert initial == {"s": {"start.s"}, "force": {"a", "gain", "bias"}, "inverse": {"b"}}
+    places = [int(e.get("index")) for e in root.find("ModelStructure/Outputs")]
+    assert places == list(range(12, 20))
+    assert [int(e.get("index")) for e in root.find("ModelStructure/InitialUnknowns")] == places
+    for unknown in root.iter("Unknown"):
+        assert unknown.get("dependenciesKind").split() == ["dependent"] * len(unknown.get("dependencies").split())
+
+
+def test_enumerations_of_one_name_must_be_one_and_no_variables_or_types_name() -> None:
+    toy = sampled_toy()
+    kinds = {port.name: port for port in toy.parameters}
+    twin = Port(
+        "tuning.twin", kind="Enumeration", start=1, variability="tunable", enumeration=kinds["tuning.mode"].enumeration
+    )
+    gain = next(i for i, port in enumerate(toy.parameters) if port.name == "tuning.gain")
+
+    def with_port(port: Port) -> Component:
+        return dataclasses.replace(toy, parameters=(*toy.parameters[:gain], port, *toy.parameters[gain + 1 :]))
+
+    assert len(xml(with_port(twin)).findall(".//SimpleType/Enumeration")) == 2
+    other = Enumeration("ToyMode", (("Only", ""),))
+    with pytest.raises(ExportError, match="two enumerations are called 'ToyMode'"):
+        xml(with_port(dataclasses.replace(twin, enumeration=other)))
+    for name in ("rate", "Real_m"):
+        taken = dataclasses.replace(twin, enumeration=Enumeration(name, (("Only", ""),)))
+        with pytest.raises(ExportError, match=f"the enumeration '{name}' has the name of a variable or type"):
+            xml(with_port(taken))
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        (
+            Port("w", start=0.5, min=0, max=2, kind="Integer", variability="tunable"),
+            r"start value 0\.5 of 'w' is no Integer",
+        ),
+        (Port("w", kind="Enumeration", variability="tunable"), "'w' is of kind 'Enumeration'; known"),
+        (Port("w", kind="Float", variability="tunable"), "'w' is of kind 'Float'; known"),
+        (
+            Port("w", variability="continuous"),
+            "the parameter 'w' has the variability 'continuous', it must be fixed or tunable",
+        ),
+        (Port("a..b", variability="tunable"), r"'a\.\.b' is no structured variable name"),
+        (Port("w", unit="furlong", variability="tunable"), "the unit 'furlong' of 'w' cannot be understood"),
+        (Port("w", description="\x07", variability="tunable"), "of 'w' holds control characters"),
+    ],
+)
+def test_a_parameter_that_fmi_does_not_allow_is_named(port: Port, words: str) -> None:
+    toy = feedthrough_toy()
+    with pytest.raises(ExportError, match=words):
+        xml(dataclasses.replace(toy, parameters=(toy.parameters[0], port)))
+
+
+def test_a_type_is_named_by_identifiers_only() -> None:
+    for unit, name in (
+        ("1", "Real_dimensionless"),
+        ("m/s", "Real_m_per_s"),
+        ("1/(V2.s2)", "Real_1_per__V2_s2"),
+        ("%", "Real_percent"),
+        ("s-1", "Real_sminus1"),
+        ("m+2", "Real_m2"),
+    ):
+        assert type_name(unit) == name
