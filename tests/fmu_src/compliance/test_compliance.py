@@ -112,6 +112,17 @@ def test_a_damaged_file_in_the_archive_is_found(make: Make) -> None:
     ]
 
 
+@pytest.mark.long
+def test_an_fmu_of_20000_variables_is_driven_without_a_finding(make: Make) -> None:
+    more = "".join(
+        f'<ScalarVariable name="block{i // 100}.part[{i % 100},{i}].length" valueReference="3" causality="local" '
+        'variability="continuous"><Real unit="m"/></ScalarVariable>'
+        for i in range(20_000)
+    )
+    report = check(make(edits={"  </ModelVariables>": f"{more}</ModelVariables>"}))
+    assert report.findings == [] and report.notes == [] and "state-serialize" in report.checked
+
+
 def test_another_compression_than_deflate_is_found(make: Make) -> None:
     path = make()
     with zipfile.ZipFile(path, "a") as archive:

@@ -110,6 +110,21 @@ def test_descriptions_with_other_values(
     survives(zipped({"modelDescription.xml": document.encode(), "sources/broken.c": b""}), folder)
 
 
+@pytest.mark.long
+@given(data=st.data())
+@settings(QUICK, max_examples=40)
+def test_descriptions_that_do_not_fit_the_library_that_is_driven(
+    sound: Contents, sound_exchange: Contents, folder: Path, data: st.DataObject
+) -> None:
+    contents = data.draw(st.sampled_from([sound, sound_exchange]))
+    document = contents["modelDescription.xml"].decode()
+    elements = list(re.finditer(r"<ScalarVariable.*?</ScalarVariable>|<Unknown[^>]*/>", document))
+    element = data.draw(st.sampled_from(elements))
+    instead = data.draw(st.sampled_from(["", element[0] * 2, data.draw(st.sampled_from(elements))[0]]))
+    document = document[: element.start()] + instead + document[element.end() :]
+    survives(zipped({**contents, "modelDescription.xml": document.encode()}, zipfile.ZIP_STORED), folder)
+
+
 @given(data=st.data())
 @settings(QUICK, max_examples=100)
 def test_damaged_descriptions(sound: Contents, folder: Path, data: st.DataObject) -> None:
