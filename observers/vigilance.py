@@ -45,13 +45,16 @@ MOST_TRIES = 2  # each with twice the threshold of the one before
 PROVEN = 60  # samples after a restart, or samples in a row that fit, that end it
 LOSS, MOST_DISTRUST = 4.0, 500.0  # trust is away for so many samples for each that contradicted, and so many at most
 PROBATION = 1000.0  # the same after a restart of a paper's design, which follows what it is given for very long
-EARNED = 20  # samples in a row that fit, after which trust can be lost for longer than a sample
+EARNED, SLOWLY_EARNED = (
+    20,
+    150,
+)  # samples in a row that fit until trust can be lost for longer; of a paper's design, which converges slowly
 MEMORY = 100  # samples, of `level`
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
 ROUNDING = 1e-9  # of a nominal value: what an innovation is at least
-UNSAID = 1e-2  # the same where nobody says what the measurement noise is
+UNSAID = 3e-2  # the same where nobody says what the measurement noise is
 
 
 @dataclass(frozen=True)
@@ -172,8 +175,8 @@ def verdict(
     again = ca.logic_and(ca.logic_or(mild, row >= ROW * 2 ** ca.fmin(s.tries, 3)), tuning.gate < NEVER)
     restart = ca.logic_and(again, s.turn)
     contradicted = ca.logic_or(raised, again)
-    quiet = ca.if_else(contradicted, 0, ca.fmin(s.quiet + (dof > 0), PROVEN))
-    earned = ca.logic_or(s.earned, quiet >= EARNED)
+    quiet = ca.if_else(contradicted, 0, ca.fmin(s.quiet + (dof > 0), SLOWLY_EARNED))
+    earned = ca.logic_or(s.earned, quiet >= (SLOWLY_EARNED if watch.weighted else EARNED))
     more = ca.fmax(ca.fmin(s.distrust + LOSS, ca.if_else(earned, MOST_DISTRUST, LOSS)), s.distrust)
     distrust = ca.if_else(contradicted, more, ca.fmax(s.distrust - (dof > 0), 0))
     if watch.weighted:

@@ -166,7 +166,7 @@ PAPERS = {
     ),
     "chen_yen_least_squares": Entry(
         FMUS["chen_yen_least_squares"][0],
-        _scenario("chen_yen", _made["chen_yen"], 0.01, 2600, noise={"y": 1e-3}, settled=1040),
+        _scenario("chen_yen", _made["chen_yen"], 0.01, 3000, noise={"y": 1e-3}, settled=1200),
     ),
     "james_baras_5_1_riccati": Entry(
         FMUS["james_baras_5_1_riccati"][0],

@@ -41,6 +41,7 @@ from observers.linearisation import Linearisation, linearisation, prediction_ste
 from observers.model import Model, ModelError, refuse
 from observers.numerics.finite import HUGE
 from observers.status import shown as verdict
+from observers.tables import refuse_tables_that_end
 from observers.vigilance import TUNING
 
 CONTRACTION = (
@@ -96,6 +97,7 @@ def least_squares(
         ValueError: T, gamma or p0 is not positive, T is shorter than the sample time; a process noise; both ways to say one thing.
     """
     refuse(model, "least_squares", "algebraic", "unknown_disturbances")
+    refuse_tables_that_end(model, "least_squares")
     refuse_unobservable(model, "least_squares")
     if process_noise is not None:
         raise ValueError(

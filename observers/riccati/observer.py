@@ -30,6 +30,7 @@ from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
 from observers.riccati.design import UNKNOWN, Given, design
 from observers.status import shown
+from observers.tables import refuse_tables_that_end
 from observers.vigilance import TUNING
 
 STIFF = 2.0  # h |A| beyond which Runge-Kutta gives way to the exponential step
@@ -83,6 +84,7 @@ def riccati(
             matrix that says the same, an unknown name in `expose`.
     """
     refuse(model, "riccati", "algebraic", "unknown_disturbances")
+    refuse_tables_that_end(model, "riccati")
     unknown = sorted(set(expose) - {"Q"})
     if unknown:
         raise ValueError(f"riccati: expose = {unknown[0]!r} is unknown; known: Q")

@@ -23,6 +23,7 @@ from observers.arguments import checked
 from observers.component import Component, Port
 from observers.linearisation import prediction_step, refuse_unobservable
 from observers.model import Model, refuse
+from observers.tables import refuse_tables_that_end
 from observers.ukf import steps
 from observers.vigilance import TUNING
 
@@ -61,6 +62,7 @@ def ukf(
         ValueError: sample_time out of range.
     """
     refuse(model, "ukf", "algebraic", "unknown_disturbances")
+    refuse_tables_that_end(model, "ukf")
     refuse_unobservable(model, "ukf")
     period = ports.sample_time("ukf", sample_time)
     estimated = (*model.states, *model.unknown_parameters)
