@@ -37,7 +37,7 @@ def refuse_tables_that_end(model: Model, method: str) -> None:
                         where = ", ".join(f"{name} = {number:g}" for name, number in corner.items())
                         raise ModelError(
                             f"{method}: model '{model.name}', {what} of '{variable.name}': the table '{table.name()}' is 0 beyond its "
-                            f"grid, and its argument reaches {value:g} where {where}: bound these within the grid (min, max), or cut the argument"
+                            f"grid, and its argument reaches {value:g} where {where}: bound these within the grid (min, max)"
                         )
 
 
