@@ -215,7 +215,7 @@ def test_a_larger_model_in_segments_is_estimated_as_a_chain_of_tiles():
     [
         (dict(segments=3), r"segments = 3 must divide L = 8"),
         (dict(segments=0), r"segments = 0 must be a whole number of at least 1"),
-        (dict(segments=2.0), r"segments = 2.0 must be a whole number"),
+        (dict(segments=2.0), r"segments = the number 2\.0, where a whole number is wanted"),
         (dict(segments=2, cost="spline"), r"the spline cost goes with one segment"),
     ],
 )
