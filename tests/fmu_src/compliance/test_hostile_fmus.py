@@ -51,9 +51,10 @@ def test_an_fmu_that_breaks_the_checks_own_processes_is_one_line(make: Make, def
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_nothing_runs_on_after_a_check_that_was_ended(make: Make, how: signal.Signals) -> None:
+def test_nothing_runs_on_after_a_check_that_was_ended(make: Make, tmp_path: Path, how: signal.Signals) -> None:
     command = [sys.executable, "-m", "commands", "check", str(make(defect="hang-at-once"))]
-    checking = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    checking = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, **quiet)
     this, end = psutil.Process(checking.pid), time.monotonic() + 60
     while (
         not (started := this.children(recursive=True)) or max(p.cpu_times().user for p in started[1:] or started) < 0.5
