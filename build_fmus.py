@@ -24,6 +24,7 @@ from pathlib import Path
 
 from cosim.errors import suggest
 from cosim.system import Element, System, write_ssp
+from cosim.system.by_name import Ports, connect, element_names, role
 from fmu_src import ExportError, export
 from fmu_src.archive import check_writable
 from observers.component import Component
@@ -106,6 +107,30 @@ def components_of(path: Path) -> dict[str, Source]:
             f"{path} defines no Component at module level, such as observer = pseudospectral(model, sample_time=0.1)"
         )
     return {name: (_maker(component), _driver(component, found.values())) for name, component in found.items()}
+
+
+def build_of(path: Path) -> Build:
+    """What is to be built of a Python file: its Components, and for each with a plant the two as a system, with their sources.
+
+    Raises:
+        ValueError: as `components_of`.
+    """
+    fmus = components_of(path)
+    components = {name: make() for name, (make, _) in fmus.items()}
+    ports = {name: Ports([p.name for p in c.inputs], [p.name for p in c.outputs]) for name, c in components.items()}
+    sources = [name for name, one in ports.items() if role(one) == "source"]
+    systems = {}
+    for name, (_, driven_by) in fmus.items():
+        if driven_by is None:
+            continue
+        elements = element_names({one: ports[one] for one in (driven_by().name, name, *sources)})
+        made = connect({element: ports[one] for one, element in elements.items()})
+        used = {end.partition(".")[0] for pair in made.connections for end in pair}
+        fmu_of = {element: one for one, element in elements.items() if element in used}
+        stop = max(components[one].stop_time for one in fmu_of.values())
+        step = min(components[one].step_size for one in fmu_of.values())
+        systems[name] = Recipe(f"{driven_by().name} and {name}", fmu_of, {}, stop, step, made.connections)
+    return Build(fmus, systems)
 
 
 def _driver(component: Component, among: Iterable[Component]) -> Callable[[], Component] | None:

@@ -16,7 +16,7 @@ from commands.console import say
 from observers import __version__
 
 NAME = "observer-fmus"
-VERBS = ("build", "run", "compare", "campaign", "replay", "signal", "check")
+VERBS = ("new", "build", "signal", "system", "run", "compare", "campaign", "replay", "check")
 
 
 class _Verbs(TyperGroup):

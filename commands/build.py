@@ -12,7 +12,7 @@ import typer
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from build_fmus import Build, build_all, choose, components_of
+from build_fmus import build_all, build_of, choose
 from commands.console import err, fail
 from fmu_src import ExportError, ExportWarning
 
@@ -33,7 +33,12 @@ def build(
     target: Annotated[
         str, typer.Option(help="native: C without dependencies; python: a PythonFMU, which needs Python in the tool.")
     ] = "native",
-    file: Annotated[Path | None, typer.Option(help="A Python file: builds the Components that it defines.")] = None,
+    file: Annotated[
+        Path | None,
+        typer.Option(
+            help="A Python file: builds the Components that it defines, and a system of each observer with its plant."
+        ),
+    ] = None,
 ) -> None:
     """Build the catalogue's FMUs and systems, or the FMUs of your own model.
 
@@ -45,7 +50,7 @@ def build(
         fail("--file and --only exclude each other", 2)
     try:
         with err.status(escape(f"working out what {file} defines")) if file is not None else nullcontext():
-            work = Build(fmus=dict(components_of(file))) if file is not None else choose(only or [])
+            work = build_of(file) if file is not None else choose(only or [])
     except (ValueError, KeyError) as error:
         fail(str(error.args[0]), 2)
     except KeyboardInterrupt:
