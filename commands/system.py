@@ -33,7 +33,7 @@ def system(
 
     \b
     Example:
-      observer-fmus system fmus/pendulum.fmu fmus/pendulum_ukf.fmu fmus/drive.fmu --out systems/pendulum.ssp
+      observer-fmus system plant.fmu observer.fmu drive.fmu --out x.ssp
     """
     try:
         ports: dict[str, Ports] = {}
