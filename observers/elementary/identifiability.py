@@ -7,7 +7,7 @@ With delta x+ = Phi delta x + Gamma w and delta y = C delta x along the window, 
 (the Riccati equation of cheap control, mu -> 0). delta x_0' P_0 delta x_0 is then the least change that the outputs can show of delta
 x_0, and S delta x_0, S the product of Phi - Gamma K, what becomes of it at the window's end, which is the estimate. Where the smallest
 eigenvalue of P_0 z = lambda S' S z vanishes, that direction and the disturbances that hide it cannot be told from the outputs; one that
-dies out does not count.
+dies out does not count. Where each state is measured and has a disturbance, all do, each within a sample: S is kept in range by a factor.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ AT_BOUND = 1e-6  # of its nominal value: a disturbance as near to a bound is hel
 SWEEPS = 6  # of inverse iteration
 SHIFT = 1e-13  # of the trace, so that a singular P_0 can be factored
 TINY = 1e-300  # so that nothing divides by zero
+SCALED = 1e-60  # a product of transitions below is scaled to 1: squared, it would leave the range of numbers
+MOST_SEEN = 1e100  # the largest visibility: of a direction of which nothing is left
 NAMED = 0.02  # of the largest: a variable with a smaller part in a direction is not named
 VISIBLE = 1e-3  # a visibility below: not determined
 
@@ -63,18 +65,25 @@ def least_visible(model: Model, N: int) -> ca.Function:
     order = list(reversed(range(N - 1)))
     last = ca.reshape(C[:, -1], len(model.outputs), n)
     Ps, Ks = back.mapaccum("riccati", N - 1)(ca.vec(ca.mtimes(last.T, last)), C[:, order], moves[:, order])
-    S, gain = ca.SX.sym("S", n * n), ca.SX.sym("K", k * n)
+    S, logarithm, gain = ca.SX.sym("S", n * n), ca.SX.sym("logarithm"), ca.SX.sym("K", k * n)  # exp(logarithm) S
     closed = Phi - ca.mtimes(Gamma, ca.reshape(gain, k, n)) if k else Phi
-    onward = ca.Function("onward", [S, move, gain], [ca.vec(ca.mtimes(closed, ca.reshape(S, n, n)))])
-    ends = onward.mapaccum("ends", N - 1)(ca.vec(ca.DM.eye(n)), moves, Ks[:, order])
-    smallest, z = _smallest(n)(Ps[:, -1], ends[:, -1])
-    end = ca.mtimes(ca.reshape(ends[:, -1], n, n), z)
-    before_end = ca.mtimes(ca.reshape(ends[:, N - 3], n, n), z)
+    product = ca.vec(ca.mtimes(closed, ca.reshape(S, n, n)))
+    size = ca.norm_inf(product)
+    factor = ca.if_else(size < SCALED, ca.fmax(size, TINY), 1)
+    onward = ca.Function(
+        "onward", [ca.vertcat(S, logarithm), move, gain], [ca.vertcat(product / factor, logarithm + ca.log(factor))]
+    )
+    ends = onward.mapaccum("ends", N - 1)(ca.vertcat(ca.vec(ca.DM.eye(n)), 0), moves, Ks[:, order])
+    smallest, z = _smallest(n)(Ps[:, -1], ends[: n * n, -1])
+    end = ca.mtimes(ca.reshape(ends[: n * n, -1], n, n), z)
+    before_end = ca.mtimes(ca.reshape(ends[: n * n, N - 3], n, n), z) * ca.exp(ends[-1, N - 3] - ends[-1, -1])
     direction = ca.vertcat(end, -ca.mtimes(ca.reshape(Ks[:, 0], k, n), before_end) if k else ca.MX(0, 1))
     largest = ca.if_else(ca.mmax(direction) >= -ca.mmin(direction), ca.mmax(direction), ca.mmin(direction))
     nominal = ca.DM([variable.nominal for variable in (*model.states, *model.unknown_disturbances)])
     samples = ca.fmax(ca.sum1(ca.sum2(active_nodes(v.active, len(model.outputs)) * v.V)), 1)
-    visibility = ca.sqrt(ca.fmax(smallest, 0) / samples)
+    left = ca.sumsqr(end) > 0
+    visibility = ca.sqrt(ca.fmax(smallest, 0) / samples) * ca.exp(-ends[-1, -1])
+    visibility = ca.if_else(left, ca.fmin(visibility, MOST_SEEN), MOST_SEEN)
     return ca.Function("least_visible", list(vars(v).values())[:-1], [visibility, direction / largest * nominal])
 
 

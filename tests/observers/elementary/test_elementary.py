@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.linalg import eigh, expm
 
 from observers.elementary import elementary
@@ -303,3 +304,39 @@ def test_the_iteration_limit_bounds_a_sample_and_the_next_one_goes_on() -> None:
             assert free.get("diagnostics.iterations") > 1
             assert bound.get("diagnostics.status") == CODE.iterating
     assert abs(bound.get("filtered.x2") - free.get("filtered.x2")) < 1e-3
+
+
+@pytest.mark.parametrize("N", [3, 8, 41])
+@pytest.mark.parametrize(
+    ("rates", "mixed"),
+    [
+        (lambda x, u, p, t: [u.a, u.b], np.eye(2)),
+        (lambda x, u, p, t: [u.a + u.b, u.a - u.b], np.array([[1.0, 1.0], [1.0, -1.0]])),
+    ],
+)
+def test_measured_states_with_a_disturbance_each_are_found_exactly(rates: Any, mixed: np.ndarray, N: int) -> None:
+    """v and w are straight lines within an interval: closed form. Whatever they were, one sample later it is forgotten."""
+    model = Model(
+        name="two_disturbances",
+        states=[Variable("v", start=1.0), Variable("w", start=-0.5)],
+        unknown_disturbances=[Variable("a"), Variable("b")],
+        outputs=[Variable("y1"), Variable("y2")],
+        ode=rates,
+        output=lambda x, u, p, t: [x.v, x.w],
+    )
+    r = {state: {"a": 1e-6, "b": 1e-6} if mixed[0, 1] else {d: 1e-6} for state, d in (("v", "a"), ("w", "b"))}
+    component = elementary(model, sample_time=0.1, N=N, K=60, r=r)
+    assert not describe_null(model, N, 0.1)
+    observer = Instance(component, {"tuning.epsilon": 0.0, "guess.v": 0.0, "guess.w": 3.0})
+    forces = np.random.default_rng(4).normal(size=(60, 2))
+    true = np.vstack([[1.0, -0.5], [1.0, -0.5] + 0.1 * np.cumsum(forces @ mixed.T, axis=0)])
+    for k in range(60):
+        observer.set("y1", true[k, 0])
+        observer.set("y2", true[k, 1])
+        observer.step(0.1 * k, 0.1)
+        assert np.all(np.isfinite(observer.outputs()))
+        if k < N:
+            continue
+        found = [observer.get(f"filtered.{name}") for name in ("v", "w", "a", "b")]
+        assert_allclose(found, [*true[k], *forces[k - 1]], rtol=0, atol=1e-9, err_msg=str(k))
+        assert observer.get("diagnostics.visibility") > 1
