@@ -25,31 +25,39 @@ FAULT = Enumeration(
 )
 SETTLING, QUIET, SUSPECTED, DETECTED = 1, 2, 3, 4
 
-TUNING = (
-    Port(
-        "tuning.fault_threshold",
-        "largest |lambda[i]| / nominal of output i without a fault",
-        start=0.01,
-        min=0.0,
-        variability="tunable",
-    ),
-    Port(
-        "tuning.fault_persistence",
-        "how long the threshold is exceeded until a fault is detected",
-        "s",
-        0.005,
-        min=0.0,
-        variability="tunable",
-    ),
-    Port(
-        "tuning.fault_settling",
-        "how long the residual stays below the threshold until the detector is armed, or a fault is over",
-        "s",
-        0.5,
-        min=0.0,
-        variability="tunable",
-    ),
-)
+SETTLED = 5.0  # times the design's slowest time constant
+SHORTEST, PERSISTENT = 20, 5  # samples
+
+
+def tuning(rate: float, sample_time: float) -> tuple[Port, ...]:
+    """`tuning.fault_*`, start values by the rate [1/s] at which the slowest error decays and the sample time [s]."""
+    return (
+        Port(
+            "tuning.fault_threshold",
+            "largest |lambda[i]| / nominal of output i without a fault",
+            start=0.01,
+            min=0.0,
+            variability="tunable",
+        ),
+        Port(
+            "tuning.fault_persistence",
+            "how long the threshold is exceeded until a fault is detected",
+            "s",
+            PERSISTENT * sample_time,
+            min=0.0,
+            variability="tunable",
+        ),
+        Port(
+            "tuning.fault_settling",
+            "how long the residual stays below the threshold until the detector is armed, or a fault is over",
+            "s",
+            max(SETTLED / rate, SHORTEST * sample_time),
+            min=0.0,
+            variability="tunable",
+        ),
+    )
+
+
 PORT = Port(
     "diagnostics.fault", "fault detector", kind="Enumeration", start=SETTLING, enumeration=FAULT, variability="discrete"
 )

@@ -37,7 +37,8 @@ from observers.canonical_dae.region import Region, region
 from observers.component import Component
 from observers.model import Model, refuse
 
-CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
+FASTEST = 10.0  # [1/s]: where the poles are by default
+SMALLEST_NOISE = 1e-9  # of an output's nominal value
 
 
 @checked
@@ -52,6 +53,7 @@ def canonical_dae(
     form: str = "w",
     order: int = 2,
     degree: int = 3,
+    measurement_noise: Mapping[str, float] | None = None,
     guess: Mapping[str, float] | None = None,
     name: str | None = None,
     max_step: float = 0.01,
@@ -70,6 +72,8 @@ def canonical_dae(
         order: of the backward differentiation, 1 to 5.
         degree: of the polynomial through past measurements that the w-form takes between samples, 1 to 9. A higher one follows faster
             signals and amplifies noise near half the sampling frequency.
+        measurement_noise: start values of `tuning.measurement_noise.<output>`, the standard deviation of a sample, by which innovations are
+            judged; a thousandth of the nominal value if absent.
         guess: start values of `guess.*` that differ from the model's. The first sample projects it onto h(x) = y.
         name: the component's name; `<model>_canonical_dae` if absent.
         max_step: the longest prediction step [s] (classical Runge-Kutta).
@@ -96,7 +100,7 @@ def canonical_dae(
 
     method = sample.Method(model, dae, chosen, form == "bdf", order, degree)
     # Without a relaxation there is no residual to watch.
-    detector = fault_detector.TUNING if dae.n_lambda else ()
+    detector = fault_detector.tuning(_rate(gain, poles, alpha), sample_time) if dae.n_lambda else ()
     return Component(
         name=name or f"{model.name}_canonical_dae",
         description=f"Canonical DAE observer for {model.name} (Nikoukhah 1995), {chosen.description}",
@@ -111,6 +115,16 @@ def canonical_dae(
             period,
             *chosen.tuning,
             *detector,
+            *ports.deviations(
+                "canonical_dae",
+                "measurement_noise",
+                ports.MEASUREMENT_NOISE,
+                model.outputs,
+                measurement_noise,
+                1e-3,
+                smallest=SMALLEST_NOISE,
+            ),
+            ports.FALSE_ALARM,
         ),
         outputs=(
             *ports.estimates(model),
@@ -121,6 +135,7 @@ def canonical_dae(
             *ports.innovations(model),
             SINGULAR,
             *ports.COUNTERS,
+            ports.RESTARTS,
         ),
         constants=structure(form, order, degree),
         sample_time="sample_time",
@@ -128,9 +143,16 @@ def canonical_dae(
         max_step=max_step,
         stop_time=stop_time,
         step_size=sample_time,
-        counters=(SINGULAR.name, *(port.name for port in ports.COUNTERS)),
+        counters=(SINGULAR.name, *(port.name for port in (*ports.COUNTERS, ports.RESTARTS))),
         documentation=documentation(model, chosen, form, order, degree),
     )
+
+
+def _rate(gain: str | Design, poles: Sequence[complex] | None, alpha: float) -> float:
+    """How fast the slowest error of the design decays [1/s]; a given gain is taken for as fast as the default."""
+    if gain == "regional":
+        return alpha
+    return min((-complex(pole).real for pole in poles), default=FASTEST) if gain == "exact" and poles else FASTEST
 
 
 def _check(dae: Dae, checked: Region, left_of: float) -> None:

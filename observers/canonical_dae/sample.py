@@ -9,20 +9,21 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers import ports
+from observers import judgement, ports
 from observers.canonical_dae import fault_detector
 from observers.canonical_dae.dae import Dae
 from observers.canonical_dae.gain import Gain
 from observers.canonical_dae.steps import bdf_step, consistent, integrated
 from observers.model import Model
 from observers.numerics.exact import product
-from observers.numerics.finite import HUGE, kept
+from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 from observers.status import CODE, worst
 from observers.status import shown as verdict
 
 CONVERGED = 1e-6  # Newton's last relative correction; the next one would be about its square
+SETTLED = 20  # samples after which an estimate without a relaxation is no longer settling
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,17 @@ class Method:
 
     @property
     def settings(self) -> Layout:
-        detector = len(fault_detector.TUNING) if self.dae.n_lambda else 0
+        detector = 3 if self.dae.n_lambda else 0  # `fault_detector.tuning`
         known = len(self.model.parameters)
-        return Layout(guess=self.dae.n, model=known, sample_time=1, gain=len(self.gain.tuning), detector=detector)
+        return Layout(
+            guess=self.dae.n,
+            model=known,
+            sample_time=1,
+            gain=len(self.gain.tuning),
+            detector=detector,
+            noise=self.dae.n_outputs,
+            false_alarm=1,
+        )
 
 
 def memory(method: Method) -> Layout:
@@ -74,9 +83,11 @@ def memory(method: Method) -> Layout:
         fault=1,
         above=1,
         below=1,
+        **judgement.memory(method.model),
         singular=1,
         rejected=1,
         failures=1,
+        restarts=1,
     )
 
 
@@ -140,6 +151,7 @@ def flow(method: Method) -> ca.Function:
         d=ca.if_else(whole, s.d, 0),
         k=ca.if_else(whole, s.k, 0),
         undoable=ca.logic_and(s.undoable, whole),
+        restarts=s.restarts + ca.logic_not(ca.logic_or(whole, s.undoable)),
         input_integral=s.input_integral + h * inputs,
         status=ca.if_else(whole, s.status, CODE.solver_failed),
         failures=s.failures + ca.logic_not(whole),
@@ -164,12 +176,13 @@ def output(method: Method) -> ca.Function:
         s.singular,
         s.rejected,
         s.failures,
+        s.restarts,
     ]
     return ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)])
 
 
 def jump(method: Method) -> ca.Function:
-    """jump(z, u, p, t) -> z: the DAE at the sample; the prediction where it has none, or does not converge."""
+    """jump(z, u, p, t) -> z: the DAE at the sample; the prediction where it has none, or does not converge; the guess where it is lost."""
     dae, state = method.dae, memory(method)
     ny, nu = dae.n_outputs, len(method.model.inputs)
     z, u, p, t = (
@@ -181,27 +194,44 @@ def jump(method: Method) -> ca.Function:
     now = Instant(state.unpack(z), method.settings.unpack(p), ports.read(method.model, u), t)
     s, q, read = now.s, now.q, now.read
 
-    # A measurement that is missing or not finite is replaced by its prediction.
-    valid, rejected = ports.judged(read.y, read.offered)
+    # 1. The sample, and the step over the last interval to it.
     outputs = ca.Function("outputs", dae.arguments, [ca.densify(dae.h), ca.densify(dae.r)])
-    expected, added = outputs(s.x, read.known, q.model, t)
-    predicted = kept(expected, 0)  # outside the domain of h there is nothing to stand in for a measurement
-    y = kept(ca.if_else(valid, read.y - added, predicted), predicted)
-    any_valid, all_valid = ca.sum1(valid) > 0, ca.sum1(valid) == ny
-
-    found = _advanced(method, now, y)
+    (expected, added), (of_guess, _) = (outputs(x, read.known, q.model, t) for x in (s.x, q.guess))
+    sample = judgement.judged(method.model, s, read.y - added, read.offered, expected, of_guess, q.noise, q.false_alarm)
+    any_valid = ca.sum1(sample.valid) > 0
+    found = _advanced(method, now, sample.y)
     sound = ca.logic_and(ca.sumsqr(ca.vertcat(found.x, found.mu, found.d)) < HUGE, found.change < CONVERGED)
-    lost = ca.logic_not(ca.sumsqr(ca.vertcat(expected, added)) < HUGE)
-    failed = ca.logic_or(lost, ca.logic_and(any_valid, ca.logic_not(sound)))
+    failed = ca.logic_or(ca.logic_not(sample.readable), ca.logic_and(any_valid, ca.logic_not(sound)))
     accepted = ca.logic_and(any_valid, ca.logic_not(failed))
-    x = ca.if_else(accepted, found.x, s.x)
-    mu = ca.if_else(accepted, found.mu, ca.if_else(failed, 0, s.mu))
-    d = ca.if_else(accepted, found.d, s.d)
+
+    # 2. Where it failed, the prediction; where the prediction left the domain, the one before the last sample; in the end the guess.
+    lost = ca.if_else(failed, s.outpredicted + 1, sample.memory["outpredicted"])
+    outside = ca.logic_not(sample.readable)
+    undone, stuck = ca.logic_and(outside, s.undoable), ca.logic_and(outside, ca.logic_not(s.undoable))
+    again = ca.logic_or(lost >= judgement.PATIENCE, stuck)
+    left = ca.if_else(again, q.guess, ca.if_else(undone, s.before, s.x))
+    fresh = ca.logic_or(failed, again)
+    x = ca.if_else(ca.logic_and(accepted, ca.logic_not(again)), found.x, left)
+    mu = ca.if_else(fresh, 0, ca.if_else(accepted, found.mu, s.mu))
+    d = ca.if_else(again, 0, ca.if_else(accepted, found.d, s.d))
+
+    # 3. What is to be said of it.
     singular = ca.logic_not(method.gain.gamma(x, read.known, q.model, t, q.gain)[1])
-    fault, above, below = _watched(method, now, mu, any_valid)
+    fault, above, below = (
+        ca.if_else(again, first, new)
+        for first, new in zip((fault_detector.SETTLING, 0, 0), _watched(method, now, mu, any_valid), strict=True)
+    )
+    k = ca.if_else(fresh, 0, s.k + 1)
+    settling, contradicted = k < SETTLED, sample.contradiction
+    if dae.n_lambda:
+        settling = fault == fault_detector.SETTLING
+        contradicted = ca.logic_or(contradicted, fault > fault_detector.QUIET)
     status = worst(
+        (sample.outlier, CODE.outlier),
+        (ca.sum1(sample.valid) + ny * sample.outlier < ny, CODE.sample_rejected),
+        (settling, CODE.settling),
+        (ca.logic_or(contradicted, again), CODE.inconsistent),
         (singular, CODE.singular),
-        (ca.logic_not(all_valid), CODE.sample_rejected),
         (failed, CODE.solver_failed),
     )
 
@@ -209,23 +239,25 @@ def jump(method: Method) -> ca.Function:
         {
             "x": x,
             "x_filtered": x,
-            "before": s.x,
-            "undoable": 1,
+            "before": ca.if_else(again, q.guess, ca.if_else(undone, s.before, s.x)),
+            "undoable": ca.logic_not(ca.logic_or(again, undone)),
             "mu": mu,
             "d": d,
             "y": found.y,
             "past": found.past,
             "u": ca.MX(0, 1) if method.held else read.known,
             "input_integral": ca.DM.zeros(nu),
-            "k": ca.if_else(failed, 0, s.k + 1),
-            "innovation": y - predicted,
+            "k": k,
+            "innovation": sample.innovation,
             "status": status,
             "fault": fault,
             "above": above,
             "below": below,
+            **{part: ca.if_else(again, 0, value) for part, value in (sample.memory | {"outpredicted": lost}).items()},
             "singular": s.singular + singular,
-            "rejected": s.rejected + rejected,
+            "rejected": s.rejected + sample.rejected,
             "failures": s.failures + failed,
+            "restarts": s.restarts + again,
         }
     )
     made = ca.Function("jump", [z, u, p, t], [result])

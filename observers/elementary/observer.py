@@ -43,6 +43,8 @@ from observers.numerics.runge_kutta import runge_kutta
 from observers.status import CODE
 from observers.status import shown as verdict
 
+SMALLEST_NOISE = 1e-9  # of an output's nominal value
+
 
 @checked
 def elementary(
@@ -57,6 +59,7 @@ def elementary(
     levels: Mapping[str, str] | None = None,
     nodes: int = 81,
     first_guess: Model | None = None,
+    measurement_noise: Mapping[str, float] | None = None,
     guess: Mapping[str, float] | None = None,
     name: str | None = None,
     max_step: float = 0.05,
@@ -75,6 +78,8 @@ def elementary(
         nodes: of the grid, between the state's bounds.
         first_guess: equations that make the first trajectories, of the same variables as `model`. With them the observer waits for a full
             window, as the paper does; without, the window grows from the first sample on.
+        measurement_noise: start values of `tuning.measurement_noise.<output>`, the standard deviation of a sample, by which innovations and
+            the fit are judged; a hundredth of the nominal value if absent.
 
     Raises:
         ModelError: algebraic variables or unknown parameters, a state that no output can ever see.
@@ -93,6 +98,8 @@ def elementary(
         epsilon=1,
         iteration_limit=1,
         visibility_limit=1,
+        noise=len(model.outputs),
+        false_alarm=1,
         sample_time=1,
     )
     v = symbols(model, N, settings)
@@ -109,7 +116,7 @@ def elementary(
         s.contraction,
         s.visibility,
     ]
-    shown += [s.null, s.innovation, s.rejected, s.failures]
+    shown += [s.null, s.innovation, s.rejected, s.failures, s.restarts]
     sampled = jump(v, model, N, iterations(model, problems, N, K, nodes), first_guess is not None)
     null = describe_null(model, N, sample_time)
     return Component(
@@ -125,6 +132,16 @@ def elementary(
             *ports.known_parameters(model),
             *weighed,
             *elementary_ports.limits(K),
+            *ports.deviations(
+                METHOD,
+                "measurement_noise",
+                ports.MEASUREMENT_NOISE,
+                model.outputs,
+                measurement_noise,
+                1e-2,
+                smallest=SMALLEST_NOISE,
+            ),
+            ports.FALSE_ALARM,
             period,
         ),
         outputs=(
@@ -133,6 +150,7 @@ def elementary(
             *elementary_ports.null_direction(model),
             *ports.innovations(model),
             *ports.COUNTERS,
+            ports.RESTARTS,
         ),
         constants=tuple(
             Port(f"structure.{what}", text, start=value, kind="Integer", variability="constant", local=True)
@@ -143,7 +161,7 @@ def elementary(
         max_step=prediction_step(model, max_step),
         stop_time=stop_time,
         step_size=sample_time,
-        counters=tuple(port.name for port in ports.COUNTERS),
+        counters=tuple(port.name for port in (*ports.COUNTERS, ports.RESTARTS)),
         documentation=elementary_ports.documentation(model, N, describe_problems(model, problems), null),
     )
 
@@ -171,6 +189,7 @@ def _start(v: SimpleNamespace, N: int) -> Any:
         | {
             "x": c.guess,
             "x_filtered": c.guess,
+            "before": c.guess,
             "X": ca.repmat(c.guess, N, 1),
             "W": ca.repmat(c.guess_w, N - 1, 1) if v.w.numel() else ca.MX(0, 1),
             "model": c.model,
@@ -180,7 +199,10 @@ def _start(v: SimpleNamespace, N: int) -> Any:
 
 
 def _flow(v: SimpleNamespace, model: Model, first_guess: Model | None, N: int) -> Any:
-    """Between samples the estimate follows the model, before the window is full its first guess."""
+    """Between samples the estimate follows the model, before the window is full its first guess.
+
+    Where it escapes, the last sample is undone; a prediction that escapes by itself starts again from the guess.
+    """
     s, c = v.s, v.c
 
     def moved(of: Model) -> Any:
@@ -192,11 +214,15 @@ def _flow(v: SimpleNamespace, model: Model, first_guess: Model | None, N: int) -
     if first_guess is not None:
         after = ca.if_else(s.samples < N, moved(first_guess), after)
     finite = ca.sumsqr(after) < HUGE
+    back = ca.if_else(s.undoable, s.before, c.guess)
     return v.state.replace(
         v.z,
-        x=ca.if_else(finite, after, c.guess),
+        x=ca.if_else(finite, after, back),
+        X=ca.if_else(finite, s.X, ca.repmat(back, N, 1)),
+        undoable=ca.logic_and(s.undoable, finite),
         input_integral=s.input_integral + v.h * v.read.known,
         samples=ca.if_else(finite, s.samples, 0),
         status=ca.if_else(finite, s.status, CODE.solver_failed),
         failures=s.failures + ca.logic_not(finite),
+        restarts=s.restarts + ca.logic_not(ca.logic_or(finite, s.undoable)),
     )

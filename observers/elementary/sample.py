@@ -7,11 +7,12 @@ from typing import Any
 
 import casadi as ca
 
-from observers import ports
+from observers import judgement, ports
 from observers.elementary.columns import repeated
 from observers.elementary.identifiability import least_visible
 from observers.elementary.iteration import active_nodes
 from observers.model import Model
+from observers.numerics.consistency import chi_square_quantile
 from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.status import CODE, worst
@@ -24,6 +25,8 @@ def layout(model: Model, N: int) -> Layout:
     return Layout(
         x=n,  # the prediction: the estimate of the current time
         x_filtered=n,
+        before=n,  # the prediction at the last sample, before it acted
+        undoable=1,  # whether to go back to it is worth a try
         X=n * N,  # the window: states, disturbances, measurements (oldest first) and their weights (0: rejected)
         W=k * (N - 1),
         Y=ny * N,
@@ -42,8 +45,10 @@ def layout(model: Model, N: int) -> Layout:
         change=1,
         contraction=1,
         visibility=1,
+        **judgement.memory(model),
         rejected=1,
         failures=1,
+        restarts=1,
     )
 
 
@@ -67,9 +72,10 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.t], [ca.densify(eq.output)])
 
     # 1. The sample joins the window; the iterations start from the last ones, moved on by one sample.
-    valid, rejected = ports.judged(v.read.y, v.read.offered)
-    innovation = ca.if_else(valid, v.read.y - measure(s.x, v.read.known, c.model, v.t), 0)
-    moved = _window(v, model, N, valid)
+    expected, of_guess = (measure(x, v.read.known, c.model, v.t) for x in (s.x, c.guess))
+    sample = judgement.judged(model, s, v.read.y, v.read.offered, expected, of_guess, c.noise, c.false_alarm)
+    valid = sample.valid
+    moved = _window(v, model, N, sample)
     window = [moved.Y, moved.V, moved.u0, moved.u1, moved.at_samples, moved.active, v.t, c.sample_time, c.model]
 
     # 2. The iterations, where there is something to iterate on.
@@ -82,7 +88,15 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     finite = ca.sumsqr(ca.vertcat(ca.vec(X_new), ca.vec(W_new))) < HUGE
     failed, accepted = ca.logic_and(due, ca.logic_not(finite)), ca.logic_and(due, finite)
     X, W = ca.if_else(accepted, X_new, moved.X), ca.if_else(accepted, W_new, moved.W)
-    x = ca.if_else(accepted, X[:, N - 1], s.x)
+    # A failure begins a new window at the prediction, or, where that left the domain of h, at the one before the last sample. What fails
+    # again before that window is full, or predicts worse than the guess, starts from the guess.
+    outside = ca.logic_not(sample.readable)
+    undone, stuck = ca.logic_and(outside, s.undoable), ca.logic_and(outside, ca.logic_not(s.undoable))
+    again = ca.logic_or(ca.logic_and(failed, ca.logic_not(full)), stuck)
+    again = ca.logic_or(again, sample.memory["outpredicted"] >= judgement.PATIENCE)
+    restarted = ca.logic_or(ca.logic_or(failed, undone), again)
+    left = ca.if_else(again, c.guess, ca.if_else(undone, s.before, s.x))
+    x = ca.if_else(ca.logic_and(accepted, ca.logic_not(restarted)), X[:, N - 1], left)
 
     # 3. What the window does not see, and how well it fits.
     seen = least_visible(model, N)(X, W, *window)
@@ -90,37 +104,45 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
         ca.if_else(accepted, found, old) for found, old in zip(seen, (s.visibility, s.null), strict=True)
     )
     times = v.t + c.sample_time * ca.DM(range(1 - N, 1)).T
-    nominal = ca.repmat(ca.DM([o.nominal for o in model.outputs]), 1, N)
-    residual = (moved.Y - measure.map(N)(X, moved.at_samples, repeated(c.model, N), times)) / nominal
-    cost = ca.sumsqr(active_nodes(moved.active, ny) * moved.V * residual)
+    apart = active_nodes(moved.active, ny) * moved.V
+    residual = apart * (moved.Y - measure.map(N)(X, moved.at_samples, repeated(c.model, N), times))
+    cost = ca.sumsqr(residual / ca.repmat(ca.DM([o.nominal for o in model.outputs]), 1, N))
+    squared = ca.sumsqr(residual / ca.repmat(c.noise, 1, N))
+    misfit = ca.logic_not(squared <= chi_square_quantile(ca.fmax(ca.sum1(ca.sum2(apart)), 1), c.false_alarm))
 
     # 4. What is to be said of it.
     altered = ca.logic_and(s.samples > 0, ca.sumsqr(c.model - s.model) > 0) if len(model.parameters) else 0
     changed = ca.if_else(altered, N - 1, ca.fmax(s.changed - 1, 0))
+    contradicted = ca.logic_or(sample.contradiction, ca.logic_or(ca.logic_and(accepted, misfit), restarted))
     status = worst(
+        (sample.outlier, CODE.outlier),
+        (ca.sum1(sample.offered) < ny, CODE.sample_rejected),
         (ca.logic_not(full), CODE.settling),
         (change > c.epsilon, CODE.iterating),
-        (ca.sum1(valid) < ny, CODE.sample_rejected),
         (changed > 0, CODE.parameter_changed),
+        (contradicted, CODE.inconsistent),
         (visibility < c.visibility_limit, CODE.undetermined),
         (failed, CODE.solver_failed),
         (ca.logic_not(enough), CODE.propagated_guess),
     )
+    k = len(model.unknown_disturbances)
     return v.state.pack(
         {
             "x": x,
             "x_filtered": x,
-            "X": ca.if_else(failed, ca.repmat(s.x, N, 1), ca.vec(X)),
-            "W": ca.vec(W),
+            "before": left,
+            "undoable": ca.logic_not(ca.logic_or(again, undone)),
+            "X": ca.if_else(restarted, ca.repmat(left, N, 1), ca.vec(X)),
+            "W": ca.if_else(again, ca.repmat(c.guess_w, N - 1, 1), ca.vec(W)) if k else ca.MX(0, 1),
             "Y": ca.vec(moved.Y),
             "V": ca.vec(moved.V),
             "means": ca.vec(moved.means) if s.means.numel() else ca.MX(0, 1),
             "u": ca.vec(moved.at_samples) if s.u.numel() else ca.MX(0, 1),
             "input_integral": ca.MX.zeros(len(model.inputs)),
-            "samples": ca.if_else(failed, 0, ca.fmin(s.samples + 1, N)),
+            "samples": ca.if_else(restarted, 0, ca.fmin(s.samples + 1, N)),
             "changed": changed,
             "model": c.model,
-            "innovation": kept(innovation, 0),
+            "innovation": sample.innovation,
             "null": kept(null, s.null),
             "status": status,
             "cost": kept(ca.if_else(failed, s.cost, cost), s.cost),
@@ -128,13 +150,15 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
             "change": kept(ca.if_else(finite, change, 0), 0),
             "contraction": kept(ca.if_else(finite, contraction, 0), 0),
             "visibility": kept(visibility, s.visibility),
-            "rejected": s.rejected + rejected,
+            **{part: ca.if_else(again, 0, value) for part, value in sample.memory.items()},
+            "rejected": s.rejected + sample.rejected,
             "failures": s.failures + failed,
+            "restarts": s.restarts + again,
         }
     )
 
 
-def _window(v: SimpleNamespace, model: Model, N: int, valid: Any) -> SimpleNamespace:
+def _window(v: SimpleNamespace, model: Model, N: int, sample: judgement.Judgement) -> SimpleNamespace:
     """The window moved on by one sample: X, W, Y, V, the inputs (`means`, `at_samples`, and `u0`, `u1` of each interval) and `active`."""
     s, eq = v.s, model.equations
     n, k, ny, nu = len(model.states), len(model.unknown_disturbances), len(model.outputs), len(model.inputs)
@@ -142,7 +166,7 @@ def _window(v: SimpleNamespace, model: Model, N: int, valid: Any) -> SimpleNames
     def moved_on(column: Any, rows: int, new: Any) -> Any:
         return ca.reshape(ca.vertcat(column[rows:], new), rows, column.numel() // rows) if rows else ca.MX(0, N)
 
-    y = ca.if_else(valid, v.read.y, 0)
+    y, valid = sample.y, sample.valid
     newest = ca.vertsplit(s.x)
     for j in range(n):
         for m in range(ny):
