@@ -21,11 +21,14 @@ GATED = 3  # samples in a row that may be outliers; more of them are none
 PATIENCE = 5  # samples in a row at which the guess predicts better, after which the estimate is lost
 TIMES = 10.0  # better
 FAR = 10.0  # deviations: a prediction that is nearer to its measurement is not lost
+QUIETER = 0.1  # of the given noise: the least that innovations are judged by
+LEARNT = 25.0  # samples in which the noise is learnt
+LOUD = 9.0  # squared, in those of the noise: what one innovation teaches at most
 
 
 def memory(model: Model) -> dict[str, int]:
     """Parts of an observer's state that `judged` keeps from sample to sample; all start at 0, and a restart sets them to 0 again."""
-    return {"tests": memory_size(len(model.outputs)), "gated": 1, "outpredicted": 1}
+    return {"tests": memory_size(len(model.outputs)), "level": len(model.outputs), "gated": 1, "outpredicted": 1}
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ def judged(
     """Judges a sample.
 
     It is an outlier where it is too far off its prediction and the estimate was trusted, as long as there are few in a row: more of them
-    say that the plant moved, and act. Where unknown disturbances may move the plant none is.
+    say that the plant moved, and act. Where unknown disturbances may move the plant none is. Samples that are quieter than the noise given
+    are judged by their own, which is learnt while the estimate is trusted.
 
     Args:
         s: the observer's state, with the parts of `memory` and `status`, that of the last sample.
@@ -77,8 +81,8 @@ def judged(
     """
     present, rejected = ports.judged(measured, offered)
     predicted = kept(expected, 0)
-    deviation = CARRIED * noise
     innovation = ca.if_else(present, ports.wrapped(model, measured - predicted), 0)
+    deviation = CARRIED * noise * ca.if_else(s.level > 0, ca.sqrt(s.level), 1)
     normalised = innovation / deviation
     test = tested(s.tests, ca.sumsqr(normalised), normalised, present, false_alarm)
     gate = ca.logic_and(trusted(s.status), s.gated < GATED) if not model.unknown_disturbances else 0
@@ -98,10 +102,19 @@ def judged(
         contradiction=ca.logic_or(test.lately, ca.logic_and(test.alone, ca.logic_not(outlier))),
         memory={
             "tests": test.memory,
+            "level": _learnt(s, innovation / (CARRIED * noise), valid),
             "gated": ca.if_else(any_present, ca.if_else(outlier, s.gated + 1, 0), s.gated),
             "outpredicted": _outpredicted(s.outpredicted, *apart, present),
         },
     )
+
+
+def _learnt(s: SimpleNamespace, normalised: Any, valid: Any) -> Any:
+    """The mean square of the innovations (ny), in those that the noise given makes; 0: nothing is learnt yet."""
+    level = ca.if_else(s.level > 0, s.level, 1)
+    moved = level + (ca.fmin(normalised**2, LOUD * level) - level) / LEARNT
+    learns = ca.logic_and(valid, trusted(s.status))
+    return ca.if_else(learns, ca.fmax(ca.fmin(moved, 1), QUIETER**2), s.level)
 
 
 def _outpredicted(count: Any, gap: Any, gap_of_guess: Any, present: Any) -> Any:

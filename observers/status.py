@@ -24,7 +24,10 @@ STATUS = Enumeration(
             "a measurement was missing or not finite: the estimate rests on the others, or is the prediction",
         ),
         ("settling", "after a start or a restart, the estimate rests on few samples yet"),
-        ("iterating", "the iterations of this sample did not get below tuning.epsilon; the next ones go on from here"),
+        (
+            "iterating",
+            "the iterations of this sample did not get below tuning.epsilon and the noise; the next ones go on from here",
+        ),
         ("coarse_collocation", "the residual at node 0 exceeds its bound: N is too small for the window"),
         ("parameter_changed", "a model parameter was changed: older samples in the window obey the old value"),
         ("uncertain", "a standard deviation exceeds tuning.deviation_limit"),

@@ -46,6 +46,7 @@ def layout(model: Model, N: int) -> Layout:
         contraction=1,
         visibility=1,
         **judgement.memory(model),
+        doubted=1,  # samples until those that contradicted the estimate have left the window
         rejected=1,
         failures=1,
         restarts=1,
@@ -110,17 +111,19 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     squared = ca.sumsqr(residual / ca.repmat(c.noise, 1, N))
     misfit = ca.logic_not(squared <= chi_square_quantile(ca.fmax(ca.sum1(ca.sum2(apart)), 1), c.false_alarm))
 
-    # 4. What is to be said of it.
+    # 4. What is to be said of it. Iterations that change less than the samples' noise have nothing left to find.
+    unfinished = change > ca.fmax(c.epsilon, ca.mmin(c.noise / ca.DM([o.nominal for o in model.outputs])))
     altered = ca.logic_and(s.samples > 0, ca.sumsqr(c.model - s.model) > 0) if len(model.parameters) else 0
     changed = ca.if_else(altered, N - 1, ca.fmax(s.changed - 1, 0))
     contradicted = ca.logic_or(sample.contradiction, ca.logic_or(ca.logic_and(accepted, misfit), restarted))
+    doubted = ca.if_else(contradicted, N, ca.fmax(s.doubted - 1, 0))
     status = worst(
         (sample.outlier, CODE.outlier),
         (ca.sum1(sample.offered) < ny, CODE.sample_rejected),
         (ca.logic_not(full), CODE.settling),
-        (change > c.epsilon, CODE.iterating),
+        (unfinished, CODE.iterating),
         (changed > 0, CODE.parameter_changed),
-        (contradicted, CODE.inconsistent),
+        (doubted > 0, CODE.inconsistent),
         (visibility < c.visibility_limit, CODE.undetermined),
         (failed, CODE.solver_failed),
         (ca.logic_not(enough), CODE.propagated_guess),
@@ -150,6 +153,7 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
             "change": kept(ca.if_else(finite, change, 0), 0),
             "contraction": kept(ca.if_else(finite, contraction, 0), 0),
             "visibility": kept(visibility, s.visibility),
+            "doubted": doubted,
             **{part: ca.if_else(again, 0, value) for part, value in sample.memory.items()},
             "rejected": s.rejected + sample.rejected,
             "failures": s.failures + failed,

@@ -291,7 +291,7 @@ def test_the_iteration_limit_bounds_a_sample_and_the_next_one_goes_on() -> None:
     component = FMUS["van_der_pol_known_elementary"][0]()
     free, bound = (
         Instance(component, {"tuning.epsilon": 1e-9}),
-        Instance(component, {"tuning.epsilon": 1e-9, "tuning.iteration_limit": 1}),
+        Instance(component, {"tuning.epsilon": 1e-9, "tuning.measurement_noise.y": 1e-9, "tuning.iteration_limit": 1}),
     )
     truth = Instance(plant(VAN_DER_POL_KNOWN))
     for k in range(60):
