@@ -12,7 +12,7 @@ import casadi as ca
 
 from observers import ports
 from observers.model import Model
-from observers.numerics.consistency import memory_size, tested
+from observers.numerics.consistency import chi_square_quantile, memory_size, tested
 from observers.numerics.finite import HUGE, finite, kept
 from observers.status import trusted
 
@@ -28,7 +28,8 @@ LOUD = 9.0  # squared, in those of the noise: what one innovation teaches at mos
 
 def memory(model: Model) -> dict[str, int]:
     """Parts of an observer's state that `judged` keeps from sample to sample; all start at 0, and a restart sets them to 0 again."""
-    return {"tests": memory_size(len(model.outputs)), "level": len(model.outputs), "gated": 1, "outpredicted": 1}
+    ny = len(model.outputs)
+    return {"tests": memory_size(ny), "level": ny, "calm": 1, "gated": 1, "outpredicted": 1}
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,9 @@ def judged(
 ) -> Judgement:
     """Judges a sample.
 
-    It is an outlier where it is too far off its prediction and the estimate was trusted, as long as there are few in a row: more of them
-    say that the plant moved, and act. Where unknown disturbances may move the plant none is. Samples that are quieter than the noise given
-    are judged by their own, which is learnt while the estimate is trusted.
+    It is an outlier where it is too far off its prediction, the estimate was trusted once and no such sample has acted since, as long as
+    there are few in a row: more of them say that the plant moved, and act. Where unknown disturbances may move the plant none is. Samples that are quieter than the noise given
+    are judged by their own, which is learnt while the estimate is trusted; not where a disturbance moves them.
 
     Args:
         s: the observer's state, with the parts of `memory` and `status`, that of the last sample.
@@ -84,10 +85,14 @@ def judged(
     innovation = ca.if_else(present, ports.wrapped(model, measured - predicted), 0)
     deviation = CARRIED * noise * ca.if_else(s.level > 0, ca.sqrt(s.level), 1)
     normalised = innovation / deviation
-    test = tested(s.tests, ca.sumsqr(normalised), normalised, present, false_alarm)
-    gate = ca.logic_and(trusted(s.status), s.gated < GATED) if not model.unknown_disturbances else 0
-    outlier = ca.logic_and(test.alone, gate)
+    squared = ca.sumsqr(normalised)
+    alone = ca.logic_not(squared <= chi_square_quantile(ca.fmax(ca.sum1(present), 1), false_alarm))
+    calm = ca.logic_or(s.calm, trusted(s.status))
+    gate = ca.logic_and(calm, s.gated < GATED) if not model.unknown_disturbances else 0
+    outlier = ca.logic_and(alone, gate)
     valid = ca.logic_and(present, ca.logic_not(outlier))
+    contradicts = ca.logic_and(alone, ca.logic_not(outlier))
+    test = tested(s.tests, ca.sumsqr(ca.if_else(valid, normalised, 0)), normalised, valid, false_alarm)  # what acts
     turned = predicted + innovation if any(v.wrap for v in model.outputs) else measured
     any_present = ca.sum1(present) > 0
     apart = [ports.wrapped(model, measured - value) / deviation for value in (expected, of_guess)]
@@ -99,10 +104,11 @@ def judged(
         rejected=rejected,
         outlier=outlier,
         readable=ca.sum1(finite(expected)) == len(model.outputs),
-        contradiction=ca.logic_or(test.lately, ca.logic_and(test.alone, ca.logic_not(outlier))),
+        contradiction=ca.logic_or(test.lately, contradicts),
         memory={
             "tests": test.memory,
-            "level": _learnt(s, innovation / (CARRIED * noise), valid),
+            "level": s.level if model.unknown_disturbances else _learnt(s, innovation / (CARRIED * noise), valid),
+            "calm": ca.logic_and(calm, ca.logic_not(contradicts)),
             "gated": ca.if_else(any_present, ca.if_else(outlier, s.gated + 1, 0), s.gated),
             "outpredicted": _outpredicted(s.outpredicted, *apart, present),
         },

@@ -291,7 +291,7 @@ def test_in_every_other_observer_too_a_flagged_sample_is_as_one_that_is_no_numbe
         assert np.all(flagged_rows[~arrives[:, i], innovation] == 0)
     status = flagged_rows[:, names.index("diagnostics.status")]
     assert np.all(status[~arrives.any(axis=1)] >= CODE.sample_rejected)  # or what is graver, such as the start
-    assert CODE.sample_rejected in status and not np.any(status[~incomplete] == CODE.sample_rejected)
+    assert not np.any(status[~incomplete] == CODE.sample_rejected)
 
 
 @pytest.mark.parametrize("name", ["motor_canonical_dae", "van_der_pol_known_elementary"])

@@ -159,7 +159,7 @@ def test_a_full_x_is_set_by_its_factor_and_a_diagonal_entry_below_its_bound_is_r
     found = follow(
         slave, 1e-3, 3000, lambda t: {"y1": x(t)[0], "y2": x(t)[1], "u": drive(t)}, "filtered.x3", "diagnostics.status"
     )
-    assert abs(found[-1, 0] - x(2.999)[2]) < 1e-3 and set(found[:, 1]) == {CODE.estimating}
+    assert abs(found[-1, 0] - x(2.999)[2]) < 1e-3 and found[-1, 1] == CODE.estimating
 
 
 @pytest.mark.parametrize(("form", "limit"), [("w", 1e-4), ("bdf", 2e-3)])
@@ -258,7 +258,9 @@ def test_a_load_torque_is_estimated_as_fast_as_the_field_that_it_hides_decays(fm
     t = 1e-3 * np.arange(12000)
     gap = found[:, 0] - x(t)[2]
     np.testing.assert_allclose(gap, gap[0] * np.exp(-P["D1"] * t), atol=5e-3)
-    assert np.abs(found[11000:, 1] - 3.0).max() < 1.0 and set(found[:, 2]) == {CODE.estimating}
+    assert (
+        np.abs(found[11000:, 1] - 3.0).max() < 1.0 and found[-1, 2] == CODE.settling
+    )  # for 25 s, of which 12 are gone
     # What is left of the load's error is the field's: A2 sin(x1) x3~.
     middle = 0.5 * (x(t[1:]) + x(t[:-1]))
     expected = P["A2"] * np.sin(middle[0]) * 0.5 * (gap[1:] + gap[:-1])
@@ -295,7 +297,7 @@ def test_one_output_gives_one_disturbance_where_the_rest_decays_by_itself(fmu, f
     # The air's balance: an error of the wall is taken for half as much heat, the other way.
     mean = t - 0.005 * (form == "w")
     np.testing.assert_allclose(found[10:, 1], (np.sin(mean) - np.exp(-mean / 5) / 2)[10:], atol=1e-3)
-    assert set(found[:, 2]) == {CODE.estimating}
+    assert set(found[20:, 2]) == {CODE.estimating}
     assert not any("lambda" in name or "fault" in name for name in slave.variables)
 
 
@@ -307,7 +309,7 @@ def test_where_no_relaxation_is_left_poles_are_refused():
 def test_a_rate_tuned_beyond_what_the_hidden_field_allows_is_said_by_the_status(fmu):
     component = canonical_dae(LOADED, sample_time=1e-3, gain="regional", alpha=0.2, guess={"x3": 8.0}, name="loaded")
     x = motor(3.0)
-    for alpha, status in ((0.3, CODE.estimating), (0.34, CODE.singular), (10.0, CODE.singular)):
+    for alpha, status in ((0.3, CODE.settling), (0.34, CODE.singular), (10.0, CODE.singular)):
         found = follow(
             fmu(component).initialize({"tuning.alpha": alpha}),
             1e-3,
@@ -316,7 +318,7 @@ def test_a_rate_tuned_beyond_what_the_hidden_field_allows_is_said_by_the_status(
             "filtered.x3",
             "diagnostics.status",
         )
-        assert np.isfinite(found).all() and set(found[:, 1]) == {status}
+        assert np.isfinite(found).all() and set(found[:, 1]) == {status}, alpha
 
 
 @pytest.mark.parametrize(

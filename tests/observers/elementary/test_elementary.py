@@ -246,10 +246,10 @@ def test_a_rejected_sample_leaves_the_prediction_and_does_not_disturb_those_afte
 def test_a_solve_that_is_not_finite_starts_a_new_window() -> None:
     observer, true = known_horizon()
     for k in range(80):
-        feed(observer, true, k, 1e149 if k == 30 else None)
+        feed(observer, true, k, 1e149 if 30 <= k <= 33 else None)
         assert np.all(np.isfinite(observer.outputs()))
-        if k == 30:
-            assert observer.get("diagnostics.status") == CODE.solver_failed
+        if 30 <= k <= 33:  # three outliers in a row are none any more
+            assert observer.get("diagnostics.status") == (CODE.outlier if k < 33 else CODE.solver_failed)
     assert observer.get("diagnostics.solver_failures") >= 1
     assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 1e-4
 
@@ -291,7 +291,7 @@ def test_the_iteration_limit_bounds_a_sample_and_the_next_one_goes_on() -> None:
     component = FMUS["van_der_pol_known_elementary"][0]()
     free, bound = (
         Instance(component, {"tuning.epsilon": 1e-9}),
-        Instance(component, {"tuning.epsilon": 1e-9, "tuning.measurement_noise.y": 1e-9, "tuning.iteration_limit": 1}),
+        Instance(component, {"tuning.epsilon": 1e-9, "tuning.measurement_noise.y": 1e-7, "tuning.iteration_limit": 1}),
     )
     truth = Instance(plant(VAN_DER_POL_KNOWN))
     for k in range(60):
@@ -302,7 +302,7 @@ def test_the_iteration_limit_bounds_a_sample_and_the_next_one_goes_on() -> None:
         assert bound.get("diagnostics.iterations") <= 1
         if k > 1:
             assert free.get("diagnostics.iterations") > 1
-            assert bound.get("diagnostics.status") == CODE.iterating
+            assert bound.get("diagnostics.status") in (CODE.iterating, CODE.inconsistent)
     assert abs(bound.get("filtered.x2") - free.get("filtered.x2")) < 1e-3
 
 
