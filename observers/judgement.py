@@ -71,8 +71,8 @@ def judged(
     """Judges a sample.
 
     It is an outlier where it is too far off its prediction, the estimate was trusted once and no such sample has acted since, as long as
-    there are few in a row: more of them say that the plant moved, and act. Where unknown disturbances may move the plant none is. Samples that are quieter than the noise given
-    are judged by their own, which is learnt while the estimate is trusted; not where a disturbance moves them.
+    there are few in a row: more of them say that the plant moved, and act. Samples that are quieter than the noise given are judged by
+    their own, which is learnt while the estimate is trusted. Where unknown disturbances may move the plant there is neither.
 
     Args:
         s: the observer's state, with the parts of `memory` and `status`, that of the last sample.
@@ -95,7 +95,7 @@ def judged(
     test = tested(s.tests, ca.sumsqr(ca.if_else(valid, normalised, 0)), normalised, valid, false_alarm)  # what acts
     turned = predicted + innovation if any(v.wrap for v in model.outputs) else measured
     any_present = ca.sum1(present) > 0
-    apart = [ports.wrapped(model, measured - value) / deviation for value in (expected, of_guess)]
+    gap, gap_of_guess = (ports.wrapped(model, measured - value) / deviation for value in (expected, of_guess))
     return Judgement(
         y=ca.if_else(valid, turned, predicted),
         offered=present,
@@ -110,7 +110,7 @@ def judged(
             "level": s.level if model.unknown_disturbances else _learnt(s, innovation / (CARRIED * noise), valid),
             "calm": ca.logic_and(calm, ca.logic_not(contradicts)),
             "gated": ca.if_else(any_present, ca.if_else(outlier, s.gated + 1, 0), s.gated),
-            "outpredicted": _outpredicted(s.outpredicted, *apart, present),
+            "outpredicted": _outpredicted(s.outpredicted, gap, gap_of_guess, present),
         },
     )
 
