@@ -49,11 +49,13 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _check(function: str, name: str, value: Any, hint: Any) -> None:
-    if isinstance(value, Mapping) and any(typing.get_origin(one) is Mapping for one in _alternatives(hint)):
+    mappings = [typing.get_args(one) for one in _alternatives(hint) if typing.get_origin(one) is Mapping]
+    if isinstance(value, Mapping) and mappings:
+        numbers = any(of is float for _, of in mappings)
         for key, entry in value.items():
             if not isinstance(key, str):
                 raise ModelError(f"{function}: {name} has names for keys, not {described(key)}")
-            if isinstance(entry, (str, bool)) or entry is None:
+            if numbers and (isinstance(entry, (str, bool)) or entry is None):
                 raise ModelError(f"{function}: {name} of '{key}' = {described(entry)}, where a number is wanted")
         return
     known = [_known(one) for one in _alternatives(hint)]
