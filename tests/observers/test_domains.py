@@ -55,7 +55,9 @@ def made(kind: str, name: str) -> tuple[Component, float]:
 def measurements(name: str, sample_time: float, count: int) -> list[dict[str, float]]:
     """What the plant, excited and with a noisy sensor, gives its observer."""
     model = MODELS[name]
-    truth = Instance(plant(model, max_step=0.01), {"sensor.noise_std": 0.02, "sensor.sample_time": sample_time})
+    component = plant(model, max_step=0.01)
+    noise = {port.name: 0.02 for port in component.parameters if port.name.startswith("sensor.noise_std")}
+    truth = Instance(component, {**noise, "sensor.sample_time": sample_time})
     rows = []
     for k in range(count):
         swing = 1 + 0.3 * math.sin(0.2 * k)

@@ -138,7 +138,9 @@ def settled(found: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize("corruption", CORRUPTIONS)
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [name if "tank" in name else pytest.param(name, marks=pytest.mark.long) for name in CASES]
+)
 def test_after_any_stream_the_estimate_comes_back(case: str, corruption: str) -> None:
     begin = CASES[case][4]
     clean, _ = errors(case, lambda y, k, last: y)
