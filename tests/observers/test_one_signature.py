@@ -238,7 +238,7 @@ def test_deviations_have_their_variables_units_and_intensities_say_theirs_in_wor
     assert ports["tuning.initial_std.c"].unit == "m/s2"
     assert ports["tuning.process_noise.c"].unit == ""
     assert ports["tuning.process_noise.c"].description.endswith("in m/s2 per sqrt(s)")
-    paper = {p.name: p for p in riccati(PLANE, sample_time=TS).parameters}
+    paper = {p.name: p for p in riccati(PLANE, sample_time=TS, N=1.0).parameters}
     assert paper["tuning.Q0.c"].unit == "m2/s4"
     gains = {p.name: p for p in least_squares(DUFFING, sample_time=TS, T=1, linearise=True).parameters}
     assert (gains["tuning.gamma"].unit, gains["tuning.p0"].unit) == ("1/(m2.s)", "")  # p0 is of m, m/s and m/s2 at once
