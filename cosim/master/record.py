@@ -152,11 +152,23 @@ class Record:
 
     def writing(self, slave: Slave, connections: list[Connection], row: int = 0) -> list[Access]:
         """The calls that set the inputs which `connections` lead to, from row `row` + i."""
-        calls = []
-        for c in connections:
-            slot = self._column[c.source, c.output.name]
-            call = self._access(slave, "Set", slot[0], [c.input], slot, row)
-            calls.append((self._converting(call[0], slot[0], c.steps), *call[1:]) if c.steps else call)
+        calls: list[Access] = []
+        runs: list[list[Connection]] = []  # of outputs that stand side by side: one call sets what they lead to
+        last: tuple[str, int] | None = None
+        for c in sorted(connections, key=lambda c: self._column[c.source, c.output.name]):
+            kind, column = self._column[c.source, c.output.name]
+            if c.steps:
+                function, *rest = self._access(slave, "Set", kind, [c.input], (kind, column), row)
+                calls.append((self._converting(function, kind, c.steps), *rest))
+            elif runs and last == (kind, column - 1):
+                runs[-1].append(c)
+                last = (kind, column)
+            else:
+                runs.append([c])
+                last = (kind, column)
+        for together in runs:
+            slot = self._column[together[0].source, together[0].output.name]
+            calls.append(self._access(slave, "Set", slot[0], [c.input for c in together], slot, row))
         return calls
 
     def _access(

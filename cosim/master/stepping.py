@@ -98,27 +98,29 @@ def step_all(
         sets = driving(signals, slave, row) + record.writing(slave, into.get(name, []), row)
         # A memoryview stores a number faster than an array does.
         durations = record.step_ns[name].data
-        work.append((slave, sets, slave.do_step, slave.component, durations, record.reading(slave, 1), slave.place))
+        marks = (slave.place + SET, slave.place + STEP, slave.place + GET)
+        work.append((slave, sets, slave.do_step, slave.component, durations, record.reading(slave, 1), *marks))
     report = max(1, steps // PROGRESS_REPORTS)
+    now, warning = perf_counter_ns, fmi2Warning  # local names are found faster
     for i in range(steps):
         time = times[i]
         here[1] = i
-        for slave, sets, do_step, component, durations, gets, place in work:
-            here[0] = place + SET
+        for slave, sets, do_step, component, durations, gets, setting, stepping, getting in work:
+            here[0] = setting
             for function, owner, refs, count, address, stride in sets:
                 status = function(owner, refs, count, address + i * stride)
-                if status > fmi2Warning:
+                if status > warning:
                     raise slave.failure(function.__name__, status, time)
-            here[0] = place + STEP
-            begin = perf_counter_ns()
+            here[0] = stepping
+            begin = now()
             status = do_step(component, time, step, 1)
-            durations[i] = perf_counter_ns() - begin
-            if status > fmi2Warning:
+            durations[i] = now() - begin
+            if status > warning:
                 _finish(slave, status, time)
-            here[0] = place + GET
+            here[0] = getting
             for function, owner, refs, count, address, stride in gets:
                 status = function(owner, refs, count, address + i * stride)
-                if status > fmi2Warning:
+                if status > warning:
                     raise slave.failure(function.__name__, status, times[i + 1])
         record.rows = i + 2
         if progress is not None and (i + 1) % report == 0:
