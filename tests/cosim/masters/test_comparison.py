@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -94,6 +93,6 @@ def test_a_tool_that_is_not_installed_is_named_in_one_line(
     built: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "ecospy.py").write_text("raise ImportError('libtbb.so.12: cannot open shared object file')")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.syspath_prepend(tmp_path)
     line = refused(compare(written(coupled(built), tmp_path), "--masters", "fmpy,ecos"), 1)
     assert "ecos: not installed here (libtbb.so.12" in line and "docs/masters.md" in line
