@@ -54,12 +54,10 @@ def test_an_unknown_operation_is_refused_by_name():
         (ca.fabs(x), -1.0, 3.0, 0.0, 3.0),
         (ca.exp(x), 0.0, 1.0, 1.0, np.e),
         (1 / x, 2.0, 4.0, 0.25, 0.5),
-        (ca.fmin(x, 1), 0.5, 3.0, 0.5, 1.0),
-        (ca.fmax(x, 1), 0.5, 3.0, 1.0, 3.0),
     ],
     ids=str,
 )
-def test_a_monotonic_function_has_exactly_its_range(expression, a, b, low, high):
+def test_a_simple_function_has_exactly_its_range(expression, a, b, low, high):
     found = ranges(ca.Function("f", [x], [expression]), [[interval(a, b)]])[0]
     middle, radius = found.middle[0, 0], found.radius[0, 0]
     assert (middle - radius, middle + radius) == pytest.approx((low, high), abs=1e-7)
