@@ -99,23 +99,35 @@ def prediction_step(model: Model, longest: float) -> float:
     model that is stiff elsewhere wants a smaller `longest`, and so does one whose bounds would want more than MOST_SUBSTEPS of them: no
     motion is meant to come there.
     """
-    eq = model.equations
-    driven = ca.vertcat(eq.u, eq.w)
-    looked_at = [split(eq.ode, eq.x, driven).A]
-    if not model.algebraic:
-        jacobian = ca.Function("jacobian", [eq.x, eq.u, eq.w, eq.p, eq.theta, eq.t], [ca.jacobian(eq.ode, eq.x)])
-        groups = (model.inputs, model.unknown_disturbances, model.parameters, model.unknown_parameters)
-        others = [np.array([v.start for v in group]) for group in groups]
-        start = np.array([v.start for v in model.states])
-        points = [start]
-        for i, v in enumerate(model.states):
-            for value in (v.min, v.max, v.start - v.nominal, v.start + v.nominal):
-                if v.min <= value <= v.max and math.isfinite(value):
-                    points.append(np.where(np.arange(len(start)) == i, value, start))
-        found = [jacobian(x, *others, 0.0).full() for x in points]
-        looked_at += [A for A in found[:1] if np.all(np.isfinite(A))]
-        looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < STABLE * MOST_SUBSTEPS]  # false for NaN
+    linear, *found = _jacobians(model, bounds=True)
+    looked_at = [linear]
+    looked_at += [A for A in found[:1] if np.all(np.isfinite(A))]
+    looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < STABLE * MOST_SUBSTEPS]  # false for NaN
     return stable_step(looked_at, longest)
+
+
+def fastest_rate(model: Model) -> float:
+    """The largest |eigenvalue| of the rates' Jacobian [1/s], at the start values and one state at a time a nominal value to either side."""
+    found = [A for A in _jacobians(model, bounds=False) if np.all(np.isfinite(A))]
+    return max(float(np.abs(np.linalg.eigvals(A)).max()) for A in found)
+
+
+def _jacobians(model: Model, bounds: bool) -> list[np.ndarray]:
+    """df/dx: its constant entries; where there are no algebraic variables that at the start values, then around them."""
+    eq = model.equations
+    constant = split(eq.ode, eq.x, ca.vertcat(eq.u, eq.w)).A
+    if model.algebraic:
+        return [constant]
+    jacobian = ca.Function("jacobian", [eq.x, eq.u, eq.w, eq.p, eq.theta, eq.t], [ca.jacobian(eq.ode, eq.x)])
+    groups = (model.inputs, model.unknown_disturbances, model.parameters, model.unknown_parameters)
+    others = [np.array([v.start for v in group]) for group in groups]
+    start = np.array([v.start for v in model.states])
+    points = [start]
+    for i, v in enumerate(model.states):
+        for value in (*((v.min, v.max) if bounds else ()), v.start - v.nominal, v.start + v.nominal):
+            if v.min <= value <= v.max and math.isfinite(value):
+                points.append(np.where(np.arange(len(start)) == i, value, start))
+    return [constant, *(jacobian(x, *others, 0.0).full() for x in points)]
 
 
 def linearisation(model: Model) -> Linearisation:

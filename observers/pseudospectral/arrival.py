@@ -28,8 +28,10 @@ from observers.numerics.finite import HUGE
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.sample import Instant, Window
 from observers.pseudospectral.window.condense import first_sample
+from observers.pseudospectral.window.gauss_newton import Constraints
 from observers.pseudospectral.window.trajectory import Trajectory
 
+LEAST_WEIGHT = 1e-30  # of an outlier
 SMALLEST = 1e-9  # standard deviation, relative to the nominal value: a weight is one over its square
 
 
@@ -118,8 +120,11 @@ def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) ->
     }
 
 
-def advance(method: Method, now: Instant, window: Window, at: Trajectory) -> dict[str, Any]:
-    """Mean and covariance for the next window; `at` is this window's trajectory."""
+def advance(method: Method, now: Instant, window: Window, at: Trajectory, solved: Any) -> dict[str, Any]:
+    """Mean and covariance for the next window; `at` is this window's trajectory, and corrects them where it was `solved`.
+
+    While the samples contradict the estimate they are forgotten: the mean is that trajectory's own, with the guess's covariance.
+    """
     s, q, problem = now.s, now.q, method.problem
     ny, nu = problem.ny, problem.nu
     V, Z, unknown, nu_noise = at
@@ -128,20 +133,31 @@ def advance(method: Method, now: Instant, window: Window, at: Trajectory) -> dic
     z_start = Z[: problem.rates.n_algebraic] if problem.n_algebraic else s.z
     first_input = window.at_points[:nu] if nu else ca.MX(0, 1)
     held = noise[: len(problem.noisy_states)] if problem.noisy_states else ca.MX(0, 1)
-    first = [window.Y[:ny], window.W[:ny], first_input, q.model, window.start, z_start]
+    weight = window.W[:ny]
+    there = ca.logic_and(weight > 0, solved)
+    sensor = q.measurement_noise / ca.sqrt(ca.fmax(weight, LEAST_WEIGHT))
+    first = [window.Y[:ny], there, first_input, q.model, window.start, z_start]
     moved = [unknown, s.prior_mean, s.prior_covariance, x1, ca.vec(S1), held]
-    mean_next, P_next = _moved_on(method)(*moved, *first, q.measurement_noise, q.process_noise)
-    # The prior of a window that does not move yet stays; one that is lost starts again around the prediction.
+    mean_next, P_next = _moved_on(method)(*moved, *first, sensor, q.process_noise)
+    # The prior of a window that does not move yet stays; one that is lost starts again around the trajectory, as a forgotten one does.
     moves = s.k >= method.samples
+    own = ca.vertcat(x1, unknown[problem.nx :]) if problem.n_theta else x1
     lost = ca.logic_not(ca.sumsqr(ca.vertcat(mean_next, P_next)) < HUGE)
-    again = {"prior_mean": unknown, "prior_covariance": ca.vec(ca.diag(q.initial_std**2))}
+    forgotten = ca.logic_or(window.tested.inconsistent, lost)
+    mean = ca.if_else(forgotten, ca.if_else(ca.sumsqr(own) < HUGE, own, unknown), mean_next)
+    P = ca.if_else(forgotten, ca.vec(ca.diag(q.initial_std**2)), P_next)
     return {
-        name: ca.if_else(moves, ca.if_else(lost, again[name], following), old)
-        for name, following, old in (
-            ("prior_mean", mean_next, s.prior_mean),
-            ("prior_covariance", P_next, s.prior_covariance),
-        )
+        "prior_mean": ca.if_else(moves, _within(method.constraints, mean), s.prior_mean),
+        "prior_covariance": ca.if_else(moves, P, s.prior_covariance),
     }
+
+
+def _within(constraints: Constraints, mean: Any) -> Any:
+    """The mean within the bounds of the states and unknown parameters."""
+    for bound, clip in ((constraints.lower, ca.fmax), (constraints.upper, ca.fmin)):
+        if np.isfinite(bound).any():
+            mean = ca.if_else(ca.DM(np.isfinite(bound)), clip(mean, ca.DM(np.nan_to_num(bound))), mean)
+    return mean
 
 
 def _moved_on(method: Method) -> ca.Function:

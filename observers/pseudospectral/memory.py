@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from observers.numerics.layout import Layout
-from observers.pseudospectral import arrival, bounded_noise, covariance
+from observers.pseudospectral import arrival, bounded_noise, covariance, innovation_test
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.warm_start import AT_PREDICTION
 from observers.status import CODE
@@ -48,10 +48,13 @@ def layout(method: Method) -> Layout:
         conditioning=1,
         deviation=1,
         covariance=(nx + nt) ** 2,  # of x, theta: the estimate of the current time
+        fit_noise=0 if method.weighted else 1,  # of the last fit, by which its covariance is multiplied
+        **innovation_test.state(method),
         node0_residual=1,
         slack=int(method.constraints.any),
         rejected=1,
         failures=1,
+        restarts=1,
     )
 
 
@@ -71,6 +74,7 @@ def start(method: Method) -> ca.Function:
         "status": ca.DM(CODE.propagated_guess),
         "model": q.model,
         "covariance": covariance.initial(method, q),
+        **innovation_test.start(),
         **arrival.start(q, method.arrival),
     }
     return ca.Function("start", [p, t], [state.pack(first)])
@@ -92,5 +96,6 @@ def output(method: Method) -> ca.Function:
         s.bounds,
         s.rejected,
         s.failures,
+        s.restarts,
     ]
     return ca.Function("output", [z, u, p, t], [ca.vertcat(*shown)])

@@ -17,7 +17,10 @@ from observers.pseudospectral.window.problem import LeastSquares
 
 @dataclass(frozen=True)
 class Method:
-    """An observer's structure: the model's equations with its inputs lifted, the windowed problem, and what the solve is subject to."""
+    """An observer's structure: the model's equations with its inputs lifted, the windowed problem, and what the solve is subject to.
+
+    `weighted`: the samples' weights are those of `tuning.measurement_noise`; `noise_given`: the user has said what it is.
+    """
 
     model: Model
     equations: Equations
@@ -28,6 +31,7 @@ class Method:
     spline: bool
     arrival: bool
     weighted: bool
+    noise_given: bool
 
     @property
     def samples(self) -> int:

@@ -18,13 +18,14 @@ from typing import Any
 
 import casadi as ca
 
-from observers.pseudospectral import arrival, memory
+from observers.pseudospectral import arrival, covariance, innovation_test, memory
 from observers.pseudospectral.estimate import Estimate, estimate
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.problem_2 import Solution, reference, solve
 from observers.pseudospectral.sample import Instant, Window, collect
 from observers.pseudospectral.status import Quality, quality
-from observers.pseudospectral.warm_start import Start, next_origin, warm_start
+from observers.pseudospectral.warm_start import AT_GUESS, Start, next_origin, warm_start
+from observers.status import CODE
 
 
 def jump(method: Method) -> ca.Function:
@@ -69,9 +70,10 @@ def _next(
     """Step 7: the parts of `memory.layout` after the sample. The prediction starts from the estimate."""
     s = now.s
     absent = {name: ca.DM(0, 1) for name, size in memory.layout(method).sizes.items() if size == 0}
-    prior = arrival.advance(method, now, window, solution.trajectory) if method.arrival else {}
+    prior = arrival.advance(method, now, window, solution.trajectory, solution.accepted) if method.arrival else {}
+    tested = window.tested
     unreadable = ca.logic_and(now.offered, ca.logic_not(window.readable))
-    return {
+    after = {
         **absent,
         "x": found.x,
         "z": found.z,
@@ -103,7 +105,31 @@ def _next(
         "node0_residual": worth.node0,
         "rejected": s.rejected + (ca.sum1(unreadable) > 0),
         "failures": s.failures + solution.failed,
+        "restarts": s.restarts + (tested.begins if method.arrival else 0),
+        **tested.state,
+        "heavy": worth.heavy,
+        "quiet": ca.if_else(worth.heavy, innovation_test.patience(method), tested.state["quiet"]),
+        "fit_noise": ca.DM(0, 1) if method.weighted else ca.if_else(solution.accepted, solution.fit_noise, s.fit_noise),
         "slack": solution.slack if method.constraints.any else ca.DM(0, 1),
         **prior,
         **solution.bounds,
+    }
+    again = _again(method, now)
+    return after | {name: ca.if_else(tested.restart, value, after[name]) for name, value in again.items()}
+
+
+def _again(method: Method, now: Instant) -> dict[str, Any]:
+    """What a restart from the guess sets: the guess, and a window without samples."""
+    q, s = now.q, now.s
+    return {
+        "x": q.guess_x,
+        "theta": q.guess_theta,
+        "weight": ca.DM.zeros(s.weight.numel()),
+        "k": ca.DM(0),
+        "fresh": ca.DM(AT_GUESS),
+        "covariance": covariance.initial(method, q),
+        "tests": ca.DM.zeros(s.tests.numel()),
+        "status": ca.DM(CODE.propagated_guess),
+        "restarts": s.restarts + 1,
+        **arrival.start(q, method.arrival),
     }

@@ -29,7 +29,17 @@ from observers.linearisation import prediction_step
 from observers.model import Model
 from observers.numerics.layout import Layout
 from observers.numerics.semilinear import lift_inputs
-from observers.pseudospectral import arrival, bounded_noise, disturbances, memory, moving_horizon, prediction, structure
+from observers.pseudospectral import (
+    arrival,
+    bounded_noise,
+    defaults,
+    disturbances,
+    memory,
+    moving_horizon,
+    prediction,
+    structure,
+)
+from observers.pseudospectral.defaults import Structure
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.ports import (
     CONSTRAINT_VIOLATION,
@@ -46,18 +56,18 @@ def pseudospectral(
     model: Model,
     *,
     sample_time: float,
-    N: int = 15,
-    L: int = 8,
-    segments: int = 1,
+    N: int | None = None,
+    L: int | None = None,
+    segments: int | None = None,
     cost: str = "samples",
     noise_bound: float | Mapping[str, float] | None = None,
-    arrival_cost: bool = False,
+    arrival_cost: bool | None = None,
     process_noise: Mapping[str, float] | None = None,
     measurement_noise: Mapping[str, float] | None = None,
     initial_std: Mapping[str, float] | None = None,
     guess: Mapping[str, float] | None = None,
     name: str | None = None,
-    max_step: float = 0.1,
+    max_step: float | None = None,
     stop_time: float = 50.0,
 ) -> Component:
     """The observer for `model` as a component: measurements and known inputs in, `estimate.*` out.
@@ -66,25 +76,27 @@ def pseudospectral(
 
     Args:
         sample_time: Ts [s]; structural, because the constants of the window hold delta = L Ts.
-        N: order of a segment's polynomial (N + 1 nodes). L: length of the window in sample intervals.
-        segments: number of equal segments that the window is made of; divides L. 1 is the paper's method.
+        N: order of a segment's polynomial (N + 1 nodes). L: length of the window in sample intervals. segments: number of equal segments
+            that the window is made of; divides L. Where none of them is given `defaults` chooses them by the model, with an arrival cost;
+            where one is, the others are the paper's: 15, 8, 1.
         cost: "samples" sums the squared residuals at the sample instants, "spline" is the paper's quadrature (19) of a
             not-a-knot cubic spline through the samples at the nodes (it waits for a full window, as the paper does).
         noise_bound: start value of `tuning.noise_bound`, for all outputs or by name, in the outputs' units; with it the estimated
             output stays in the tube (38), which Problem 3 makes narrower. None: no tube.
         arrival_cost: whether samples that have left the window go on counting, through a quadratic cost of the window's
-            first state; on a linear model with one segment a sample the estimate is then the Kalman filter's.
+            first state; on a linear model with one segment a sample the estimate is then the Kalman filter's. None: where the structure is
+            chosen by the model.
         process_noise: start values of `tuning.process_noise.<state, unknown parameter or unknown disturbance>`, intensities in the
             variable's unit per sqrt(s), so that its variance grows by their square per second; 0 if absent, the nominal value for an
             unknown disturbance. What is given more than 0 acts inside the window, constant over each segment (with a noise bound: in
-            the arrival cost only).
+            the arrival cost only). None: with an arrival cost `defaults` says what acts there.
         measurement_noise, initial_std: start values of `tuning.measurement_noise.<output>` (standard deviation of a sample; with an arrival
             cost or process noise 0.1 of the nominal value if absent) and, with an arrival cost, `tuning.initial_std.<...>` (that of the
             guess, the nominal value if absent).
         guess: start values of `guess.*` that differ from the model's.
         name: the component's name; `<model>_pseudospectral` if absent.
-        max_step: the longest prediction step [s] (Dormand-Prince, order 8); shortened as
-            `prediction_step` says.
+        max_step: the longest prediction step [s] (Dormand-Prince, order 8); shortened as `prediction_step` says. None: 0.1 s, or a tenth of
+            a longer sample time.
         stop_time: of the default experiment [s].
 
     Raises:
@@ -93,10 +105,21 @@ def pseudospectral(
         ValueError: N, L, segments or sample_time out of range, a window with fewer measurements than unknowns; an unknown cost, or one
             that does not go with segments or a noise bound.
     """
+    structure.check_sample_time(sample_time)
     model, process_noise = disturbances.wandering(model, process_noise)
+    chosen = defaults.structure(
+        model,
+        sample_time,
+        {"N": N, "L": L, "segments": segments},
+        arrival_cost,
+        plain=cost != "samples" or noise_bound is not None,
+    )
+    N, L, segments, arrival_cost = chosen.N, chosen.L, chosen.segments, chosen.arrival
     noisy = structure.noisy(model, process_noise, noise_bound is not None, arrival_cost)
+    if arrival_cost and process_noise is None:
+        process_noise = defaults.process_noise(model, sample_time)
     more = noise_bound is not None or arrival_cost or any(noisy)
-    structure.check(model, sample_time, N, L, segments, cost, more)
+    structure.check(model, N, L, segments, cost, more)
     tuning = tuning_of(len(model.states) + len(model.unknown_parameters))
     tuning = (*tuning, REGULARITY_LIMIT) if model.algebraic else tuning
     tube = bounded_noise.ports_of(model, noise_bound)
@@ -126,12 +149,13 @@ def pseudospectral(
         spline=cost == "spline",
         arrival=arrival_cost,
         weighted=weighted,
+        noise_given=measurement_noise is not None,
     )
     return Component(
         name=name or f"{model.name}_pseudospectral",
         description=(
             f"Pseudospectral moving-horizon observer for {model.name} (Gong, Ross & Kang 2007), "
-            f"N = {N}, L = {L}, {f'{segments} segments, ' if segments > 1 else ''}Ts = {sample_time:g} s"
+            f"N = {N}, L = {L}, {f'{segments} segments, ' if segments > 1 else ''}Ts = {sample_time:g} s{chosen.why}"
         ),
         start=memory.start(method),
         flow=prediction.flow(method),
@@ -154,19 +178,21 @@ def pseudospectral(
             *((CONSTRAINT_VIOLATION,) if method.constraints.any else ()),
             *tube.diagnostics,
             *ports.COUNTERS,
+            ports.RESTARTS,
         ),
         constants=constants(N, L, segments, sample_time),
         sample_time=sample_time,
         samples_inputs=True,
-        max_step=prediction_step(model, max_step),
+        max_step=prediction_step(model, defaults.longest_step(sample_time) if max_step is None else max_step),
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
-        documentation=_documentation(model, N, L, segments, sample_time, cost),
+        documentation=_documentation(model, chosen, sample_time, cost),
     )
 
 
-def _documentation(model: Model, N: int, L: int, segments: int, sample_time: float, cost: str) -> str:
+def _documentation(model: Model, chosen: Structure, sample_time: float, cost: str) -> str:
+    N, L, segments = chosen.N, chosen.L, chosen.segments
     where = "at the sample instants" if cost == "samples" else "through a cubic spline at the nodes, as in the paper"
     shape = f"a polynomial of order {N}" if segments == 1 else f"{segments} polynomials of order {N}, end to end,"
     return (

@@ -45,6 +45,14 @@ TUNING = (
         variability="tunable",
     ),
     ports.DEVIATION_LIMIT,
+    ports.FALSE_ALARM,
+    Port(
+        "tuning.gate",
+        "standard deviations of an innovation beyond which a measurement is an outlier, and has less weight",
+        start=6.0,
+        min=3.0,
+        variability="tunable",
+    ),
     Port(
         "tuning.collocation_limit",
         "scaled residual at node 0 above which the status is coarse_collocation",

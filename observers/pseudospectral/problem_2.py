@@ -44,7 +44,8 @@ class Solution:
 
     `kept`: the prediction was good enough, without a solve. `failed`: the solve did not converge. `undetermined`: it did, but the window
     does not determine the state. `cost` of `trajectory`, `cost_after` of the solve; `conditioning`, `slack` and `iterations` as
-    `iterate` returns them, `covariance` (ns^2) of [x; theta] at t_k. `bounds`: what `bounded_noise` keeps, empty without a tube.
+    `iterate` returns them, `covariance` (ns^2) of [x; theta] at t_k, of which `fit_noise` is a factor.
+    `bounds`: what `bounded_noise` keeps, empty without a tube.
     """
 
     trajectory: Trajectory
@@ -56,6 +57,7 @@ class Solution:
     cost_after: Any
     conditioning: Any
     covariance: Any
+    fit_noise: Any
     slack: Any
     iterations: Any
     bounds: Mapping[str, Any]
@@ -111,6 +113,7 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
     short = 0 if method.arrival else ca.logic_and(ca.logic_not(window.moving), conditioning <= q.conditioning_limit)
     waiting = ca.logic_and(ca.logic_and(due, ca.logic_not(converged)), short)
     pairs = zip(new, start.trajectory, strict=True)
+    fit_noise = _noise(method, window, cost_after)
     return Solution(
         trajectory=Trajectory(*(ca.if_else(accepted, after, old) for after, old in pairs)),
         accepted=accepted,
@@ -121,7 +124,8 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
         cost=kept(ca.if_else(accepted, cost_after, ca.if_else(ref.enough, before, 0)), now.s.cost),
         cost_after=cost_after,
         conditioning=kept(conditioning, 0),
-        covariance=spread * _noise(method, window, cost_after),
+        covariance=spread * fit_noise,
+        fit_noise=fit_noise,
         slack=kept(slack, 0),
         iterations=iterations,
         bounds=bounds,

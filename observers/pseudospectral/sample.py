@@ -9,7 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from observers import ports
 from observers.numerics.finite import finite
+from observers.pseudospectral import innovation_test
+from observers.pseudospectral.innovation_test import Tested
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.window.problem import LeastSquares, known_terms
 from observers.pseudospectral.window.sliding import insert_input, insert_sample
@@ -42,7 +45,8 @@ class Window:
     `readable`, `valid` (ny): what of the new sample is a number, and what counts; `y` (ny) that, else 0; `innovation` (ny) against the
     prediction. `Y`, `W` (ny (L + 1)) the window's samples and their weights; `U` its inputs as `Segment` wants them, `seen` those at the
     samples where the outputs see them, `at_points` those at the measured points; `data` the problem's known terms, `start` its time [s];
-    `active` (segments), which of them have a sample; `noise_std` (segments n_noise) what their process noise is in units of.
+    `active` (segments), which of them have a sample; `noise_std` (segments n_noise) what their process noise is in units of; `tested`,
+    whether the new sample fits the prediction.
     """
 
     readable: Any
@@ -60,6 +64,7 @@ class Window:
     start: Any
     active: Any
     noise_std: Any
+    tested: Tested
 
     def driven(self, problem: LeastSquares, noise: Any) -> Any:
         """What drives a trajectory with this process noise."""
@@ -71,13 +76,18 @@ def collect(method: Method, now: Instant) -> Window:
     s, problem, L = now.s, method.problem, method.samples
     readable = finite(now.measured)
     valid = ca.logic_and(readable, now.offered)
-    y = ca.if_else(valid, now.measured, 0)
     place = ca.fmin(s.k, L)
-    Y, W = (insert_sample(problem.ny, L + 1)(column, new, s.k) for column, new in ((s.y, y), (s.weight, valid)))
+    expected = method.measure(s.x, now.known, now.q.model, s.theta, now.t, s.z)[0]
+    gap = ports.wrapped(method.model, now.measured - expected)  # not finite where either is not
+    tested = innovation_test.tested(method, now, now.known, gap, ca.logic_and(valid, finite(expected)))
+    # An angle goes to the turn that is nearest to the prediction.
+    near = [expected[i] + gap[i] if v.wrap else now.measured[i] for i, v in enumerate(method.model.outputs)]
+    y = ca.if_else(valid, ca.vertcat(*near), 0)
+    new = valid * tested.weight
+    Y, W = (insert_sample(problem.ny, L + 1)(column, new, s.k) for column, new in ((s.y, y), (s.weight, new)))
+    W = ca.if_else(tested.inconsistent, W > 0, W)
     start = now.t - place * problem.segment.sample_time
     U, seen, at_points = _inputs(method, now)
-    expected = method.measure(s.x, now.known, now.q.model, s.theta, now.t, s.z)[0]
-    gap = now.measured - expected  # not finite where the measurement or the prediction's output is not
     return Window(
         readable=readable,
         valid=valid,
@@ -94,6 +104,7 @@ def collect(method: Method, now: Instant) -> Window:
         start=start,
         active=_active(method, place),
         noise_std=_noise_std(method, now, place),
+        tested=tested,
     )
 
 

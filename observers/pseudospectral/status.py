@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 
 from observers.numerics.finite import HUGE, kept
+from observers.pseudospectral import innovation_test
 from observers.pseudospectral.covariance import standard_deviations
 from observers.pseudospectral.estimate import Estimate
 from observers.pseudospectral.method import Method
@@ -29,6 +30,7 @@ class Quality:
     deviation: Any
     node0: Any
     changed: Any
+    heavy: Any
 
 
 def quality(
@@ -57,8 +59,13 @@ def quality(
     covariance = ca.if_else(fitted, solution.covariance, s.covariance)
     deviation = ca.norm_inf(standard_deviations(covariance, problem.scale))
     rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
+    heavy = ca.logic_and(solution.accepted, innovation_test.heavy(method, now, window.W, solution.cost_after))
+    tested = window.tested
     status = worst(
         (ca.logic_not(window.moving + (s.k == method.samples)), CODE.settling),
+        (tested.settling, CODE.settling),
+        (tested.outlier, CODE.outlier),
+        (ca.logic_or(tested.inconsistent, heavy), CODE.inconsistent),
         (solution.kept, CODE.prediction_kept),
         (ca.sum1(window.valid) < ny, CODE.sample_rejected),
         (node0 > q.collocation_limit, CODE.coarse_collocation),
@@ -71,7 +78,7 @@ def quality(
         (regularity < q.regularity_limit if model.algebraic else 0, CODE.singular),
         (ca.logic_not(ref.enough), CODE.propagated_guess),
     )
-    return Quality(status, covariance, deviation, kept(node0, s.node0_residual), changed)
+    return Quality(status, covariance, deviation, kept(node0, s.node0_residual), changed, heavy)
 
 
 def _changed(method: Method, now: Instant) -> Any:

@@ -19,7 +19,13 @@ from observers.pseudospectral.window.pointwise import pointwise
 from observers.pseudospectral.window.problem import LeastSquares
 
 
-def check(model: Model, sample_time: float, N: int, L: int, segments: int, cost: str, more: bool) -> None:
+def check_sample_time(sample_time: float) -> None:
+    """Raise as `pseudospectral` says."""
+    if not (math.isfinite(sample_time) and sample_time > 0):
+        raise ValueError(f"pseudospectral: sample_time = {sample_time:g} must be positive")
+
+
+def check(model: Model, N: int, L: int, segments: int, cost: str, more: bool) -> None:
     """Raise as `pseudospectral` says; `more`: a noise bound, an arrival cost or process noise is asked for."""
     least = (("N", N, 2), ("L", L, 3 if cost == "spline" else 1), ("segments", segments, 1))
     for name_of, value, lowest in least:
@@ -33,8 +39,6 @@ def check(model: Model, sample_time: float, N: int, L: int, segments: int, cost:
             f"pseudospectral: L = {L} gives {(L + 1) * len(model.outputs)} measurements in a window, "
             f"too few for the {unknowns} states and unknown parameters of model '{model.name}'"
         )
-    if not (math.isfinite(sample_time) and sample_time > 0):
-        raise ValueError(f"pseudospectral: sample_time = {sample_time:g} must be positive")
     if cost not in ("samples", "spline"):
         raise ValueError(f"pseudospectral: cost = {cost!r} must be 'samples' or 'spline'")
     if cost == "spline" and (segments > 1 or more):
