@@ -48,7 +48,7 @@ def built(shared: Path) -> Paths:
 def duffing_system(built: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A system file: the Duffing plant and its pseudospectral observer, 5 s in steps of 0.1 s."""
     folder = tmp_path_factory.mktemp("duffing_system")
-    observer = export(pseudospectral(DUFFING, sample_time=0.1), folder)
+    observer = export(pseudospectral(DUFFING, sample_time=0.1, N=15), folder)
     elements = {"plant": Element(built("duffing")), "observer": Element(observer, {"guess.x1": 0.5})}
     system = System("duffing_system", elements, [("plant.y", "observer.y")], stop=5.0, step=0.1)
     write_ssp(system, folder / "duffing_system.ssp")

@@ -121,7 +121,7 @@ def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) ->
 
 
 def advance(method: Method, now: Instant, window: Window, at: Trajectory, solved: Any) -> dict[str, Any]:
-    """Mean and covariance for the next window; `at` is this window's trajectory, and corrects them where it was `solved`.
+    """Mean and covariance for the next window; `at` is this window's trajectory, which corrects them unless its solve failed: `solved`.
 
     While the samples contradict the estimate they are forgotten: the mean is that trajectory's own, with the guess's covariance.
     """
@@ -143,7 +143,7 @@ def advance(method: Method, now: Instant, window: Window, at: Trajectory, solved
     moves = s.k >= method.samples
     own = ca.vertcat(x1, unknown[problem.nx :]) if problem.n_theta else x1
     lost = ca.logic_not(ca.sumsqr(ca.vertcat(mean_next, P_next)) < HUGE)
-    forgotten = ca.logic_or(window.tested.inconsistent, lost)
+    forgotten = ca.logic_or(window.tested.forgets, lost)
     mean = ca.if_else(forgotten, ca.if_else(ca.sumsqr(own) < HUGE, own, unknown), mean_next)
     P = ca.if_else(forgotten, ca.vec(ca.diag(q.initial_std**2)), P_next)
     return {

@@ -3,10 +3,10 @@
 The innovation's covariance is S = H P H' + R with the estimate's own P (`covariance`). Where the user has not said what the measurement
 noise is, all of it has a common factor that is learned from the innovations themselves, slowly, and only while they are consistent.
 
-A measurement farther than `tuning.gate` from its prediction is an outlier: it enters the window with a weight that falls with the square of
-its distance, and its pull with the distance (Huber's weights, but redescending; within the gate the weight is 1, and nothing changes). A run
-of them means that the estimate is wrong, not the sensor: then all samples of the window count again, the arrival cost is forgotten, and
-where that does not help within three windows the observer starts again from the guess, then after twice as long, and so on.
+A measurement farther than `tuning.gate` from its prediction is an outlier: it enters the window with a weight that falls with the square
+of its distance, and its pull with the distance (Huber's weights, but redescending; within the gate the weight is 1, and nothing changes).
+A run of them means that the estimate is wrong, not the sensor: then all samples of the window count again, the arrival cost is forgotten,
+and where that does not help within three windows the observer starts again from the guess, then after twice as long, and so on.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import casadi as ca
 
 from observers.numerics import algebraic, consistency, linear
 from observers.numerics.finite import HUGE
+from observers.pseudospectral import ports
 from observers.pseudospectral.method import Method
 
 LEARNT = 20  # samples after which the learned noise is used
@@ -32,14 +33,16 @@ MOST_RESTARTS = 20  # doublings of the time until the next
 class Tested:
     """`weight` (ny) of the sample in the window; `outlier`, whether one has less than 1.
 
-    `inconsistent`, `begins`: whether the last samples contradict the estimate, and since this one; `restart`, whether it is time to start
-    again from the guess. `settling`: consistent again, but not for long enough. `state`: what is kept.
+    `inconsistent`, `begins`: whether the last samples contradict the estimate, and since this one; `forgets`, whether the past does not
+    count therefore, `restart`, whether it is time to start again from the guess. `settling`: consistent again, but not for long enough.
+    `state`: what is kept.
     """
 
     weight: Any
     outlier: Any
     inconsistent: Any
     begins: Any
+    forgets: Any
     restart: Any
     settling: Any
     state: dict[str, Any]
@@ -85,8 +88,9 @@ def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested
     doubt = ca.if_else(due, ca.if_else(lately, s.doubt + 1, 0), s.doubt)
     inconsistent = doubt >= RUN
     times = [3 * (L + 1) * 2**i for i in range(MOST_RESTARTS)]
-    restart = ca.logic_and(lately, ca.sum1(doubt == ca.DM(times)))
-    quiet = ca.if_else(inconsistent, patience(method), ca.fmax(s.quiet - 1, 0))
+    recovers = q.gate < ports.NO_GATE
+    restart = ca.logic_and(recovers, ca.logic_and(lately, ca.sum1(doubt == ca.DM(times))))
+    quiet = ca.fmax(s.quiet - 1, ca.if_else(inconsistent, patience(method), 0))
     quiet = ca.if_else(restart, L + 1 + consistency.WINDOWS[-1], quiet)
     # Where the estimate is not trusted, no sample is judged by it.
     limit = q.gate**2
@@ -100,7 +104,9 @@ def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested
         **_learned(method, s, alone, valid, inconsistent),
     }
     outlier = ca.sum1(weight < 1) > 0
-    return Tested(weight, outlier, inconsistent, doubt == RUN, restart, quiet > 0, kept)
+    return Tested(
+        weight, outlier, inconsistent, doubt == RUN, ca.logic_and(recovers, inconsistent), restart, quiet > 0, kept
+    )
 
 
 def heavy(method: Method, now: Any, W: Any, cost: Any) -> Any:

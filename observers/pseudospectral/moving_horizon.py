@@ -70,7 +70,11 @@ def _next(
     """Step 7: the parts of `memory.layout` after the sample. The prediction starts from the estimate."""
     s = now.s
     absent = {name: ca.DM(0, 1) for name, size in memory.layout(method).sizes.items() if size == 0}
-    prior = arrival.advance(method, now, window, solution.trajectory, solution.accepted) if method.arrival else {}
+    prior = (
+        arrival.advance(method, now, window, solution.trajectory, ca.logic_not(solution.failed))
+        if method.arrival
+        else {}
+    )
     tested = window.tested
     unreadable = ca.logic_and(now.offered, ca.logic_not(window.readable))
     after = {
@@ -105,10 +109,10 @@ def _next(
         "node0_residual": worth.node0,
         "rejected": s.rejected + (ca.sum1(unreadable) > 0),
         "failures": s.failures + solution.failed,
-        "restarts": s.restarts + (tested.begins if method.arrival else 0),
+        "restarts": s.restarts + (ca.logic_and(tested.begins, tested.forgets) if method.arrival else 0),
         **tested.state,
         "heavy": worth.heavy,
-        "quiet": ca.if_else(worth.heavy, innovation_test.patience(method), tested.state["quiet"]),
+        "quiet": ca.fmax(tested.state["quiet"], worth.heavy * innovation_test.patience(method)),
         "fit_noise": ca.DM(0, 1) if method.weighted else ca.if_else(solution.accepted, solution.fit_noise, s.fit_noise),
         "slack": solution.slack if method.constraints.any else ca.DM(0, 1),
         **prior,

@@ -89,7 +89,7 @@ def pseudospectral(
         process_noise: start values of `tuning.process_noise.<state, unknown parameter or unknown disturbance>`, intensities in the
             variable's unit per sqrt(s), so that its variance grows by their square per second; 0 if absent, the nominal value for an
             unknown disturbance. What is given more than 0 acts inside the window, constant over each segment (with a noise bound: in
-            the arrival cost only). None: with an arrival cost `defaults` says what acts there.
+            the arrival cost only). None: where the structure is chosen by the model `defaults` says what acts in the arrival cost.
         measurement_noise, initial_std: start values of `tuning.measurement_noise.<output>` (standard deviation of a sample; with an arrival
             cost or process noise 0.1 of the nominal value if absent) and, with an arrival cost, `tuning.initial_std.<...>` (that of the
             guess, the nominal value if absent).
@@ -116,7 +116,7 @@ def pseudospectral(
     )
     N, L, segments, arrival_cost = chosen.N, chosen.L, chosen.segments, chosen.arrival
     noisy = structure.noisy(model, process_noise, noise_bound is not None, arrival_cost)
-    if arrival_cost and process_noise is None:
+    if chosen.why and arrival_cost and process_noise is None:
         process_noise = defaults.process_noise(model, sample_time)
     more = noise_bound is not None or arrival_cost or any(noisy)
     structure.check(model, N, L, segments, cost, more)

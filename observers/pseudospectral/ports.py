@@ -48,7 +48,8 @@ TUNING = (
     ports.FALSE_ALARM,
     Port(
         "tuning.gate",
-        "standard deviations of an innovation beyond which a measurement is an outlier, and has less weight",
+        "standard deviations of an innovation beyond which a measurement is an outlier, and has less weight; from 1e15 on none is, and the "
+        "estimate never starts again",
         start=6.0,
         min=3.0,
         variability="tunable",
@@ -109,6 +110,7 @@ QUALITY = (
     ),
     Port("diagnostics.node0_residual", "collocation residual at the dropped node 0, scaled", variability="discrete"),
 )
+NO_GATE = 1e15  # of `tuning.gate`
 CONSTRAINT_VIOLATION = Port(
     "diagnostics.constraint_violation",
     "by how much bounds had to give way, in units of nominal values; above 0: they contradict each other",

@@ -27,7 +27,7 @@ from observers.pseudospectral import pseudospectral
 from pendulum import model
 from reference_models.plant import plant
 
-observer = pseudospectral(model, sample_time=0.1)
+observer = pseudospectral(model, sample_time=0.1, N=15)
 truth = plant(model)
 """
 

@@ -35,7 +35,7 @@ NOISE = {
     "measurement_noise": {"y": 1e-3},
 }
 KINDS = {
-    "pseudospectral": lambda: pseudospectral(DUFFING, sample_time=0.1),
+    "pseudospectral": lambda: pseudospectral(DUFFING, sample_time=0.1, N=15),
     "segments": lambda: pseudospectral(DUFFING, sample_time=0.1, N=7, segments=4),
     "arrival cost": lambda: pseudospectral(DUFFING, sample_time=0.1, arrival_cost=True, **NOISE),
     "tube": lambda: pseudospectral(DUFFING, sample_time=0.1, noise_bound=0.05),

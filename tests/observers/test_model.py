@@ -137,7 +137,7 @@ def test_an_unobservable_model_is_refused_naming_what_no_output_sees():
         output=lambda x, u, p, t: [x.rate], ode=lambda x, u, p, t: [x.rate, -p.friction * x.rate + u.torque]
     )
     with pytest.raises(ModelError, match="not observable: no output ever sees angle"):
-        pseudospectral(blind, sample_time=0.1)
+        pseudospectral(blind, sample_time=0.1, N=15)
 
 
 def test_the_observer_refuses_structure_out_of_range():

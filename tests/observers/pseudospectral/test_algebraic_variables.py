@@ -207,7 +207,7 @@ def test_algebraic_variables_without_effect_on_the_states_are_refused() -> None:
         output=lambda x, z, u, p, t: [z.z],
     )
     with pytest.raises(ModelError, match="'idle' has algebraic variables that no state's equation contains"):
-        pseudospectral(model, sample_time=0.1)
+        pseudospectral(model, sample_time=0.1, N=15)
 
 
 @pytest.mark.parametrize("bounds", [{"min": 0.0}, {"max": 9.0}])

@@ -112,7 +112,7 @@ def theta_bounded(low, high):
 
 def estimates_of_theta(model, noise, samples=80, start=0.4):
     p = Instance(plant(DUFFING), {"sensor.noise_bound": noise, "sensor.sample_time": 0.1})
-    run = Instance(pseudospectral(model, sample_time=0.1), {"guess.theta": start})
+    run = Instance(pseudospectral(model, sample_time=0.1, N=15), {"guess.theta": start})
     found = []
     for k in range(samples):
         run.set("y", p.get("y"))
@@ -201,7 +201,7 @@ def test_a_guess_outside_the_bounds_is_refused_with_the_limit():
     with pytest.raises(ModelError, match=r"variable 'x3': start = -0\.5 lies outside \[0, inf\]"):
         pseudospectral(rotation(), sample_time=TS, guess={"x3": -0.5})
     with pytest.raises(ValueError, match=r"guess\.x3 = -0\.5 lies outside \[0, inf\]"):
-        Instance(pseudospectral(rotation(), sample_time=TS), {"guess.x3": -0.5})
+        Instance(pseudospectral(rotation(), sample_time=TS, N=15), {"guess.x3": -0.5})
 
 
 def test_the_fmu_honours_the_bound_as_the_python_face_does(slave: Callable[..., Slave]) -> None:
