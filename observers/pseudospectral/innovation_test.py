@@ -55,6 +55,7 @@ def state(method: Method) -> dict[str, int]:
         "noise_factor": 1,
         "learnt": 1,
         "doubt": 1,
+        "trouble": 1,
         "heavy": 1,
         "quiet": 1,
     }
@@ -88,8 +89,10 @@ def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested
     doubt = ca.if_else(due, ca.if_else(lately, s.doubt + 1, 0), s.doubt)
     inconsistent = doubt >= RUN
     times = [3 * (L + 1) * 2**i for i in range(MOST_RESTARTS)]
+    # Samples that contradict the estimate since it was last trusted.
+    trouble = ca.if_else(ca.logic_or(s.quiet > 0, inconsistent), s.trouble + lately, 0)
     recovers = q.gate < ports.NO_GATE
-    restart = ca.logic_and(recovers, ca.logic_and(lately, ca.sum1(doubt == ca.DM(times))))
+    restart = ca.logic_and(recovers, ca.logic_and(lately, ca.sum1(trouble == ca.DM(times))))
     quiet = ca.fmax(s.quiet - 1, ca.if_else(inconsistent, patience(method), 0))
     quiet = ca.if_else(restart, L + 1 + consistency.WINDOWS[-1], quiet)
     # Where the estimate is not trusted, no sample is judged by it.
@@ -98,8 +101,10 @@ def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested
     weight = ca.if_else(ca.logic_and(far, valid), ca.fmin(limit / normalised**2, 1), 1)
     weight = ca.if_else(ca.fabs(weight) <= 1, weight, 0)
     kept = {
-        "tests": ca.if_else(due, found.memory, 0),
+        # After a window all samples are newer than the contradiction: what lasts shows itself again.
+        "tests": ca.if_else(ca.logic_and(due, doubt <= L), found.memory, 0),
         "doubt": doubt,
+        "trouble": trouble,
         "quiet": quiet,
         **_learned(method, s, alone, valid, inconsistent),
     }
