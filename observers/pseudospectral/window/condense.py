@@ -13,15 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from observers.numerics import tiles
-from observers.numerics.exact import product
 from observers.pseudospectral.window import groups
+from observers.pseudospectral.window.along import Along, affine, measured, sensitivity
 from observers.pseudospectral.window.problem import LeastSquares
 
 
@@ -73,7 +72,7 @@ def end(problem: LeastSquares) -> ca.Function:
     """end(xs, V, forced_end) -> the state at the segment's end."""
     Ph, Ps = problem.segment.at(np.array([problem.segment.length]))
     arguments = [ca.SX.sym("xs", problem.nx), ca.SX.sym("V", problem.n_rates), ca.SX.sym("c", problem.nx)]
-    return ca.Function("end", arguments, [_affine(ca.SX, Ph, arguments[0], Ps, arguments[1], arguments[2])])
+    return ca.Function("end", arguments, [affine(ca.SX, Ph, arguments[0], Ps, arguments[1], arguments[2])])
 
 
 def symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
@@ -89,21 +88,6 @@ def symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
     )
     names = ("V", "Z", "s", "noise", "data", "p", "y")
     return tuple(kind.sym(name, count) for name, count in zip(names, counts, strict=True))
-
-
-@dataclass(frozen=True)
-class _Along:
-    """A segment's trajectory, and what is known of it, unpacked: what its rates and outputs are functions of. `jump` (nt) is what theta
-    moves by at its end, where the outputs see it.
-    """
-
-    xs: Any
-    V: Any
-    Z: Any
-    theta: Any
-    known: SimpleNamespace
-    p: Any
-    jump: Any = None
 
 
 def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str, Any]) -> Linearised:
@@ -132,8 +116,9 @@ def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str,
             last = None if problem.count == 1 else _is_last(given["active"], j)
             reached = _reached(problem, kind, last)(given["at"], before, found[3], reached)
     stacked = {name: ca.vertcat(*values) for name, values in parts.items() if name != "sol"}
-    residual, sensitivity, nodes = stacked["r"], stacked["M"], (stacked["X"], stacked["G"])
-    return Linearised(normal, parts["sol"], stacked["Z"], residual, sensitivity, *nodes, reached)
+    return Linearised(
+        normal, parts["sol"], stacked["Z"], stacked["r"], stacked["M"], stacked["X"], stacked["G"], reached
+    )
 
 
 def _is_last(active: Any, j: int) -> Any:
@@ -170,7 +155,7 @@ def first_sample(problem: LeastSquares) -> ca.Function:
     v, z = segments(problem, V, Z)[0]
     xs, theta, RG = s[: problem.nx], s[problem.nx :], _at_start(problem, kind)
     known = problem.data(0).unpack(_with_noise(problem, 0, data[problem.data_of(0)], noise))
-    sol, _ = _condense(problem, kind, _Along(xs, v, z, theta, known, p), RG)
+    sol, _ = _condense(problem, kind, Along(xs, v, z, theta, known, p), RG)
     times = np.array([problem.segment.sample_time])
     Ph, Ps = problem.segment.at(times)
     Xi = problem.segment.forced(times)
@@ -178,8 +163,8 @@ def first_sample(problem: LeastSquares) -> ca.Function:
     held = problem.segment.held(times)
     if problem.n_noise:
         forced = forced + ca.mtimes(kind(ca.DM(held)), noise[: len(problem.noisy_states)])
-    x = _affine(kind, Ph, xs, Ps, v, forced)
-    S = _sensitivity(kind, Ph, Ps, RG, sol, problem.direct(held))[:, 1:]
+    x = affine(kind, Ph, xs, Ps, v, forced)
+    S = sensitivity(kind, Ph, Ps, RG, sol, problem.direct(held))[:, 1:]
     return ca.Function("first_sample", [V, Z, s, noise, data, p, U], [x, S])
 
 
@@ -203,14 +188,14 @@ def _if_active(function: ca.Function) -> ca.Function:
 
 
 def _residual(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
-    """residual(xs, V, Z, theta, data, p, y) -> r at the points of a first (j = 0) or later segment; with `_Along.jump` where it counts."""
+    """residual(xs, V, Z, theta, data, p, y) -> r at the points of a first (j = 0) or later segment; with `Along.jump` where it counts."""
     xs, _, V, Z, theta, data, p, y, _, *jump = _segment_symbols(problem, j, kind)
-    rows = _measured(problem, j, _Along(xs, V, Z, theta, problem.data(j).unpack(data), p, *jump), y)
+    rows = measured(problem, j, Along(xs, V, Z, theta, problem.data(j).unpack(data), p, *jump), y)
     return ca.Function(f"residual_{j}", [xs, V, Z, theta, data, p, y, *jump], [ca.vertcat(*[r for r, _ in rows])])
 
 
 def segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
-    """Function of (xs, RG, V, Z, theta, data, p, y, w) of a first (j = 0) or later segment, with `_Along.jump` where it counts.
+    """Function of (xs, RG, V, Z, theta, data, p, y, w) of a first (j = 0) or later segment, with `Along.jump` where it counts.
 
     Returns (xs+, RG+, normal, sol, Z+, r, M, X, G): X the bounded states at the nodes, G their derivative by [1; s], or [1; s; noise], as
     all derivatives here.
@@ -220,25 +205,25 @@ def segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     xs, RG, V, Z, theta, data, p, y, w, *jump = arguments
     known = problem.data(j).unpack(data)
     s, n = problem.segment, RG.shape[1]
-    at = _Along(xs, V, Z, theta, known, p, *jump)
+    at = Along(xs, V, Z, theta, known, p, *jump)
     sol, Z_new = _condense(problem, kind, at, RG)
     normal, start = kind(ca.DM.zeros(n, n)), 0
-    rows = _measured(problem, j, at, y, (RG, sol))
+    rows = measured(problem, j, at, y, (RG, sol))
     for r, M in rows:
         normal = normal + groups.normal(M.shape[0], n)(r, M, w[start : start + M.shape[0]])
         start += M.shape[0]
     if problem.has_ends:
         end_time = np.array([s.length])
         Ph, Ps = s.at(end_time)
-        xs_end = _affine(kind, Ph, xs, Ps, V, known.forced_end)
-        RG_end = _sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(end_time)))
+        xs_end = affine(kind, Ph, xs, Ps, V, known.forced_end)
+        RG_end = sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(end_time)))
     else:
         xs_end, RG_end = xs, RG
     X, G = kind(0, 1), kind(0, n)
     if problem.bounded:
         Ph, Ps = s.at(s.node_times[1:], list(problem.bounded))
-        X = _affine(kind, Ph, xs, Ps, V, known.forced_bounded)
-        G = _sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(s.node_times[1:], list(problem.bounded))))
+        X = affine(kind, Ph, xs, Ps, V, known.forced_bounded)
+        G = sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(s.node_times[1:], list(problem.bounded))))
     whole = ca.vertcat(*sol) if sol else kind(0, n)
     r, M = (ca.vertcat(*column) for column in zip(*rows, strict=True))
     results = [xs_end, RG_end, normal, whole, Z_new, r, M, X, G]
@@ -264,7 +249,7 @@ def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:
     return [kind.sym(name, *shape) for name, shape in shapes.items()]
 
 
-def _condense(problem: LeastSquares, kind: Any, at: _Along, RG: Any) -> tuple[list[Any], Any]:
+def _condense(problem: LeastSquares, kind: Any, at: Along, RG: Any) -> tuple[list[Any], Any]:
     """sol, d V / d [1; s], in groups of rows; and the algebraic variables at the nodes."""
     rates, s = problem.rates, problem.segment
     if rates.n == 0:
@@ -284,7 +269,7 @@ def _condense(problem: LeastSquares, kind: Any, at: _Along, RG: Any) -> tuple[li
 
     for size in sizes:
         q = slice(first * nq, (first + size) * nq)
-        xq = _affine(kind, PhQ[q], at.xs, PsQ[q], at.V, rows(at.known.forced, size, nq))
+        xq = affine(kind, PhQ[q], at.xs, PsQ[q], at.V, rows(at.known.forced, size, nq))
         moved = ca.mtimes(kind(ca.DM(PhQ[q])), RG)
         if direct is not None:
             moved = moved + ca.DM(direct[q])
@@ -301,71 +286,3 @@ def _condense(problem: LeastSquares, kind: Any, at: _Along, RG: Any) -> tuple[li
         z_new.append(z)
         first += size
     return tiles.solve_tiles(A, b), ca.vertcat(*z_new)
-
-
-def _measured(
-    problem: LeastSquares, j: int, at: _Along, y: Any, by: tuple[Any, list[Any]] | None = None
-) -> list[tuple[Any, Any]]:
-    """(r, M) by groups of measured points: residual h - y and, where `by` = (RG, sol) is given, its derivative with respect to [1; s]."""
-    rest, ny, points, kind = problem.output_rest, problem.ny, problem.points_of(j), type(at.xs)
-    m, s = len(points), problem.segment
-    Ph, Ps = s.at(points)
-    C = np.kron(np.eye(m), problem.output.A)
-    CPh, CPs = product(C, Ph), product(C, Ps)
-    PhH, PsH = s.at(points, problem.output.states)
-    nh, ne, nz = rest.n_states, rest.n_known, rest.n_algebraic
-    z = ca.mtimes(kind(ca.DM(np.kron(s.from_nodes(points), np.eye(nz)))), at.Z) if nz else kind(0, 1)
-    held, held_output = (
-        problem.direct(problem.observed_noise(points)),
-        problem.direct(s.held(points, problem.output.states)),
-    )
-    sizes = [m] if kind is ca.SX else tiles.sizes(m, max(1, tiles.TILE // ny))
-    if at.jump is not None and m:
-        sizes = [*sizes[:-1], *([sizes[-1] - 1] if sizes[-1] > 1 else []), 1]
-    observed = {size: groups.observed(rest, size) for size in set(sizes)} if rest.n else {}
-    out, first = [], 0
-    for size in sizes:
-        rows, h = slice(first * ny, (first + size) * ny), slice(first * nh, (first + size) * nh)
-        r = _affine(kind, CPh[rows], at.xs, CPs[rows], at.V, at.known.offset[rows]) - y[rows]
-        M = _sensitivity(kind, CPh[rows], CPs[rows], *by, None if held is None else held[rows]) if by else None
-        if rest.n:
-            xh = _affine(kind, PhH[h], at.xs, PsH[h], at.V, at.known.forced_output[h])
-            eh = at.known.known_output[first * ne : (first + size) * ne]
-            embed = ca.DM(np.kron(np.eye(size), problem.output.E))
-            jumped = at.jump is not None and first + size == m
-            theta = at.theta + at.jump if jumped else at.theta
-            value, slope, by_theta = observed[size](xh, eh, at.p, theta, z[first * nz : (first + size) * nz])
-            r = r + ca.mtimes(embed, value)
-            if by:
-                moved = _sensitivity(kind, PhH[h], PsH[h], *by, None if held_output is None else held_output[h])
-                M = M + ca.mtimes(embed, groups.chain(rest.n, nh, size, moved.shape[1])(slope, moved))
-                if problem.n_theta:
-                    own = ca.mtimes(embed, by_theta)
-                    columns = [kind(ca.DM.zeros(size * ny, 1 + problem.nx)), own]
-                    if problem.n_noise:
-                        columns.append(kind(ca.DM.zeros(size * ny, len(problem.noisy_states))))
-                        jumps = own[:, list(problem.noisy_parameters)]
-                        columns.append(jumps if jumped else kind(ca.DM.zeros(*jumps.shape)))
-                    M = M + ca.horzcat(*columns)
-        out.append((r, M))
-        first += size
-    return out
-
-
-def _affine(kind: Any, Ph: np.ndarray, xs: Any, Ps: np.ndarray, V: Any, offset: Any) -> Any:
-    return ca.mtimes(kind(ca.DM(Ph)), xs) + ca.mtimes(kind(ca.DM(Ps)), V) + offset
-
-
-def _sensitivity(
-    kind: Any, Ph: np.ndarray, Ps: np.ndarray, RG: Any, sol: list[Any], direct: np.ndarray | None = None
-) -> Any:
-    """Ph RG + Ps sol + what the noise does directly: d x(points) / d [1; x0; theta; noise]."""
-    total: Any = ca.mtimes(kind(ca.DM(Ph)), RG)
-    column = 0
-    for block in sol:
-        n = block.shape[0]
-        total = tiles.multiply_add(Ph.shape[0], n, block.shape[1], 1.0)(
-            total, kind(ca.DM(Ps[:, column : column + n])), block
-        )
-        column += n
-    return total if direct is None else total + ca.DM(direct)
