@@ -75,6 +75,9 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     # 1. The sample joins the window; the iterations start from the last ones, moved on by one sample.
     expected, of_guess = (measure(x, v.read.known, c.model, v.t) for x in (s.x, c.guess))
     sample = judgement.judged(model, s, v.read.y, v.read.offered, expected, of_guess, c.noise, c.false_alarm)
+    # A prediction that rests on the first guess alone says nothing of the samples.
+    solved = s.samples >= (N if waits else 2)
+    kept_judgement = {part: ca.if_else(solved, value, 0) for part, value in sample.memory.items()}
     valid = sample.valid
     moved = _window(v, model, N, sample)
     window = [moved.Y, moved.V, moved.u0, moved.u1, moved.at_samples, moved.active, v.t, c.sample_time, c.model]
@@ -94,7 +97,7 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     outside = ca.logic_not(sample.readable)
     undone, stuck = ca.logic_and(outside, s.undoable), ca.logic_and(outside, ca.logic_not(s.undoable))
     again = ca.logic_or(ca.logic_and(failed, ca.logic_not(full)), stuck)
-    again = ca.logic_or(again, sample.memory["outpredicted"] >= judgement.PATIENCE)
+    again = ca.logic_or(again, kept_judgement["outpredicted"] >= judgement.PATIENCE)
     restarted = ca.logic_or(ca.logic_or(failed, undone), again)
     left = ca.if_else(again, c.guess, ca.if_else(undone, s.before, s.x))
     x = ca.if_else(ca.logic_and(accepted, ca.logic_not(restarted)), X[:, N - 1], left)
@@ -115,7 +118,9 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     unfinished = change > ca.fmax(c.epsilon, ca.mmin(c.noise / ca.DM([o.nominal for o in model.outputs])))
     altered = ca.logic_and(s.samples > 0, ca.sumsqr(c.model - s.model) > 0) if len(model.parameters) else 0
     changed = ca.if_else(altered, N - 1, ca.fmax(s.changed - 1, 0))
-    contradicted = ca.logic_or(sample.contradiction, ca.logic_or(ca.logic_and(accepted, misfit), restarted))
+    contradicted = ca.logic_or(
+        ca.logic_and(solved, sample.contradiction), ca.logic_or(ca.logic_and(accepted, misfit), restarted)
+    )
     doubted = ca.if_else(contradicted, N, ca.fmax(s.doubted - 1, 0))
     status = worst(
         (sample.outlier, CODE.outlier),
@@ -154,7 +159,7 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
             "contraction": kept(ca.if_else(finite, contraction, 0), 0),
             "visibility": kept(visibility, s.visibility),
             "doubted": doubted,
-            **{part: ca.if_else(again, 0, value) for part, value in sample.memory.items()},
+            **{part: ca.if_else(again, 0, value) for part, value in kept_judgement.items()},
             "rejected": s.rejected + sample.rejected,
             "failures": s.failures + failed,
             "restarts": s.restarts + again,
