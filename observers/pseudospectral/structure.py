@@ -19,6 +19,9 @@ from observers.pseudospectral.window.pointwise import pointwise
 from observers.pseudospectral.window.problem import LeastSquares
 
 
+MOST_NODES = 200  # of a segment: at 80 the component takes 25 s to make, and the time grows with the square
+
+
 def check_sample_time(sample_time: float) -> None:
     """Raise as `pseudospectral` says."""
     if not (math.isfinite(sample_time) and sample_time > 0):
@@ -31,6 +34,11 @@ def check(model: Model, N: int, L: int, segments: int, cost: str, more: bool) ->
     for name_of, value, lowest in least:
         if not isinstance(value, int) or value < lowest:
             raise ValueError(f"pseudospectral: {name_of} = {value!r} must be a whole number of at least {lowest}")
+    if N > MOST_NODES:
+        raise ValueError(
+            f"pseudospectral: N = {N} is more than {MOST_NODES}, which would take longer than minutes to build: take a lower N (a smooth "
+            "window needs 10 to 30), or several segments of it"
+        )
     if L % segments:
         raise ValueError(f"pseudospectral: segments = {segments} must divide L = {L}")
     unknowns = len(model.states) + len(model.unknown_parameters)

@@ -22,7 +22,7 @@ from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
 from observers.linearisation import prediction_step, refuse_unobservable
-from observers.model import Model, refuse
+from observers.model import Model, ModelError, refuse
 from observers.tables import refuse_tables_that_end
 from observers.ukf import steps
 from observers.vigilance import TUNING
@@ -34,6 +34,9 @@ KAPPA = Port(
     min=0.0,
     variability="tunable",
 )
+
+
+MOST_ESTIMATED = 50  # with 20 the component takes 11 s to make, and the time grows with the square
 
 
 @checked
@@ -62,6 +65,12 @@ def ukf(
         ValueError: sample_time out of range.
     """
     refuse(model, "ukf", "algebraic", "unknown_disturbances")
+    estimated = len(model.states) + len(model.unknown_parameters)
+    if estimated > MOST_ESTIMATED:
+        raise ModelError(
+            f"ukf: model '{model.name}' has {estimated} states and unknown parameters; the sigma points of more than {MOST_ESTIMATED} would "
+            "take longer than minutes to build: take riccati, which follows one point only"
+        )
     refuse_tables_that_end(model, "ukf")
     refuse_unobservable(model, "ukf")
     period = ports.sample_time("ukf", sample_time)

@@ -188,3 +188,15 @@ def test_a_controller_s_law_says_the_same() -> None:
         lambda: controller("law", inputs=[Variable("y")], outputs=[Variable("u")], law=lambda x, p, t: [math.sin(x.y)])
     )
     assert said.startswith("controller 'law', law, line") and said.endswith("write ca.sin")
+
+
+def test_sizes_that_would_build_for_hours_are_refused_with_what_to_take_instead() -> None:
+    many = pendulum(
+        states=[Variable(f"x{i}") for i in range(200)],
+        ode=lambda x, u, p, t: [u.torque - getattr(x, f"x{i}") for i in range(200)],
+        output=lambda x, u, p, t: [x.x0],
+    )
+    with pytest.raises(ModelError, match=r"has 200 states .* more than 50 .* take riccati"):
+        ukf(many, sample_time=0.1)
+    with pytest.raises(ValueError, match=r"N = 500 is more than 200, .* or several segments of it"):
+        pseudospectral(pendulum(), sample_time=0.05, N=500, L=20)
