@@ -18,7 +18,6 @@ from observers.pseudospectral.window.gauss_newton import Constraints
 from observers.pseudospectral.window.pointwise import pointwise
 from observers.pseudospectral.window.problem import LeastSquares
 
-
 MOST_NODES = 200  # of a segment: at 80 the component takes 25 s to make, and the time grows with the square
 
 

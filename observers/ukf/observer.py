@@ -68,8 +68,8 @@ def ukf(
     estimated = len(model.states) + len(model.unknown_parameters)
     if estimated > MOST_ESTIMATED:
         raise ModelError(
-            f"ukf: model '{model.name}' has {estimated} states and unknown parameters; the sigma points of more than {MOST_ESTIMATED} would "
-            "take longer than minutes to build: take riccati, which follows one point only"
+            f"ukf: model '{model.name}' has {estimated} states and unknown parameters; the sigma points of more than "
+            f"{MOST_ESTIMATED} would take longer than minutes to build: take riccati, which follows one point only"
         )
     refuse_tables_that_end(model, "ukf")
     refuse_unobservable(model, "ukf")
