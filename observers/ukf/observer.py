@@ -65,10 +65,10 @@ def ukf(
         ValueError: sample_time out of range.
     """
     refuse(model, "ukf", "algebraic", "unknown_disturbances")
-    estimated = len(model.states) + len(model.unknown_parameters)
-    if estimated > MOST_ESTIMATED:
+    count = len(model.states) + len(model.unknown_parameters)
+    if count > MOST_ESTIMATED:
         raise ModelError(
-            f"ukf: model '{model.name}' has {estimated} states and unknown parameters; the sigma points of more than "
+            f"ukf: model '{model.name}' has {count} states and unknown parameters; the sigma points of more than "
             f"{MOST_ESTIMATED} would take longer than minutes to build: take riccati, which follows one point only"
         )
     refuse_tables_that_end(model, "ukf")
