@@ -181,7 +181,13 @@ def test_no_interval_contracts_an_error_by_less_than_its_factors_whenever_it_beg
             (0.0, 1.0),
         ):  # the true state is zero: the estimate is the error, and linear in its start
             slave.fmu.reset()
-            start = {"guess.x1": guess[0], "guess.x2": guess[1], "tuning.T": T, "tuning.gamma": gamma}
+            start = {
+                "guess.x1": guess[0],
+                "guess.x2": guess[1],
+                "tuning.T": T,
+                "tuning.gamma": gamma,
+                "tuning.gate": 1e9,
+            }
             slave.initialize({**start, "sample_time": Ts, "y": 0.0}, t0=phase)
             for k in range(round(T / Ts)):
                 slave.step(phase + k * Ts, Ts)
