@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
-from commands.app import VERBS
+from commands.app import VERBS, app
 from observers import __version__
 from verbs import observer_fmus, refused
 
@@ -132,3 +133,13 @@ def refuse_to_open(monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
     monkeypatch.setattr("io.open", guarded)
     monkeypatch.setattr("builtins.open", guarded)
     monkeypatch.setattr("io.open_code", guarded)
+
+
+def test_ctrl_c_is_no_traceback_and_status_130(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("commands.replay.perform", interrupted)
+    done = CliRunner().invoke(app, ["replay", "x.fmu", "log.csv", "--out", str(tmp_path / "out")])
+    assert done.exit_code == 130 and "Traceback" not in done.output + done.stderr
+    assert not (tmp_path / "out").exists()
