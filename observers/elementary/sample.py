@@ -25,12 +25,12 @@ def layout(model: Model, N: int) -> Layout:
     return Layout(
         x=n,  # the prediction: the estimate of the current time
         x_filtered=n,
-        before=n,  # the prediction at the last sample, before it acted
-        undoable=1,  # whether to go back to it is worth a try
         X=n * N,  # the window: states, disturbances, measurements (oldest first) and their weights (0: rejected)
         W=k * (N - 1),
         Y=ny * N,
         V=ny * N,
+        before=n,  # the prediction at the last sample, before it acted
+        undoable=1,  # whether to go back to it is worth a try
         means=nu * (N - 1) if held else 0,  # known inputs: means over the intervals
         u=nu * N if not held or _sees_inputs(model) else 0,  # and values at the samples
         input_integral=nu,
