@@ -6,11 +6,13 @@ import io
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+import cosim.master
 from commands.app import VERBS, app
 from observers import __version__
 from verbs import observer_fmus, refused
@@ -117,6 +119,9 @@ def test_a_file_that_may_not_be_read_is_one_line(tmp_path: Path, monkeypatch: py
     locked = tmp_path / "locked"
     locked.write_text("a file")
     refuse_to_open(monkeypatch, locked)
+    # The stand-in is in this process only: so is the run.
+    here = import_module("commands.run")
+    monkeypatch.setattr(here, "run_system", lambda *system, limit, **options: cosim.master.run(*system, **options))
     monkeypatch.chdir(tmp_path)
     line = refused(observer_fmus(*(argument.format(locked) for argument in READERS[reader])))
     assert "locked" in line and "Permission denied" in line
