@@ -86,7 +86,7 @@ def test_a_file_that_cannot_be_built_is_named_with_the_reason(tmp_path: Path, te
         (["--only", "duffin"], "'duffin' is neither an FMU nor a system of the catalogue; did you mean 'duffing'"),
         (["--only", "sine", "--platforms", "linux64, beos"], "platform 'beos' is unknown; known: host, all, linux64"),
         (["--only", "sine", "--target", "cobol"], "target 'cobol' is unknown; known: native, python"),
-        (["--only", "sine", "--out", "taken"], "cannot write to taken: File exists"),
+        (["--only", "sine", "--out", "taken"], "cannot write to taken: Not a directory"),
         (["--file", "nowhere.py"], "nowhere.py: there is no such file"),
         (["--file", "."], ".: is a folder"),
         (["--file", "nowhere.py", "--only", "sine"], "--file and --only exclude each other"),
