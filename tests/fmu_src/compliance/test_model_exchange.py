@@ -20,7 +20,7 @@ def test_a_sound_fmu_of_model_exchange_is_driven_without_a_finding(make_exchange
     assert not of_cosimulation & set(report.checked) and set(report.checked) < set(RULES)
 
 
-DEFECTS_OF_MODEL_EXCHANGE = {rule: rule for rule in EXCHANGE} | {
+DEFECTS_OF_MODEL_EXCHANGE = {rule: rule for rule in sorted(EXCHANGE)} | {
     "continuous-states-nominal": "continuous-states",
     "directional-derivative": "directional-derivative",
     "call-order": "call-order",
