@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -66,10 +66,15 @@ class Outcome:
     estimates: np.ndarray
 
 
-@cache
+_here = threading.local()  # a worker may have several threads, and a child does one run at a time
+
+
 def _child() -> Child:
-    """The process in which this one's runs happen, one after the other; it ends with this one."""
-    return Child()
+    """The process in which this thread's runs happen, one after the other; it ends with this one."""
+    if not hasattr(_here, "child"):
+        _here.child = Child()
+    child: Child = _here.child
+    return child
 
 
 def perform(

@@ -263,7 +263,8 @@ def test_the_spline_cost_has_none():
 
 def test_the_fmu_with_an_arrival_cost_is_the_kalman_filter(slave: Callable[..., Slave]) -> None:
     y, u, valid = record(60, 0.25)
-    fmu, face = slave("linear_arrival").initialize(), Instance(COMPONENTS["linear_arrival"]())
+    fmu = slave("linear_arrival").initialize(AS_IT_IS)
+    face = Instance(COMPONENTS["linear_arrival"](), AS_IT_IS)
     kalman = Filter(sampled(TS), np.zeros(3), np.eye(3))
     for k in range(60):
         for run in (fmu, face):

@@ -113,7 +113,7 @@ def test_on_a_linear_model_with_a_segment_a_sample_the_estimate_is_the_kalman_fi
 
 def test_its_fmu_says_the_same(slave: Callable[..., Slave]) -> None:
     y, u, valid = record(40, 0.25)
-    fmu, face = slave("linear_noise").initialize(), Instance(COMPONENTS["linear_noise"]())
+    fmu, face = slave("linear_noise").initialize(AS_IT_IS), Instance(COMPONENTS["linear_noise"](), AS_IT_IS)
     names = [port.name for port in face.component.outputs]
     for k in range(40):
         for run in (fmu, face):
@@ -147,7 +147,7 @@ def test_many_states_are_worked_on_in_loops():
             measurement_noise=measured,
             process_noise=noise,
         )
-        runs.append(Instance(component))
+        runs.append(Instance(component, AS_IT_IS))
     rng = np.random.default_rng(0)
     for k in range(12):
         value = rng.normal()
@@ -226,7 +226,8 @@ def test_a_bias_that_wanders_is_the_kalman_filters_too(as_disturbance, L):
             measurement_noise=NOISE,
             process_noise={"v": 0.3, "b": 0.4},
             initial_std={"p": 1.0, "v": 1.0, "b": 0.5},
-        )
+        ),
+        AS_IT_IS,
     )
     y = record(40, 0)[0]
     for k in range(40):
@@ -260,7 +261,8 @@ def test_with_several_samples_a_segment_it_is_the_windows_generalised_least_squa
             measurement_noise=NOISE,
             initial_std={name: STD[name] for name in ("x1", "x2", "x3")} if arrival else None,
             process_noise={"x1": 0.2, "x2": 0.5},
-        )
+        ),
+        AS_IT_IS,
     )
     y, u, _ = record(30, 0)
     Gamma = expm(np.block([[A, np.eye(3)], [np.zeros((3, 6))]]) * TS)[:3, 3:]
@@ -299,8 +301,10 @@ def test_with_several_samples_a_segment_it_is_the_windows_generalised_least_squa
 def test_an_intensity_of_zero_is_the_exact_model():
     y, u, valid = record(30, 0.1)
     arguments = dict(sample_time=TS, N=8, L=4, segments=4, arrival_cost=True, measurement_noise=NOISE)
-    exact = Instance(pseudospectral(linear(), **arguments))
-    tuned = Instance(pseudospectral(linear(), **arguments, process_noise={"x2": 0.5}), {"tuning.process_noise.x2": 0.0})
+    exact = Instance(pseudospectral(linear(), **arguments), AS_IT_IS)
+    tuned = Instance(
+        pseudospectral(linear(), **arguments, process_noise={"x2": 0.5}), {"tuning.process_noise.x2": 0.0} | AS_IT_IS
+    )
     for k in range(30):
         for run in (exact, tuned):
             told(run, y[k], u[k], valid[k], k)
