@@ -171,7 +171,9 @@ def test_a_changed_tuning_makes_the_certificate_void(change):
 
 
 def test_example_5_1_is_certified_from_anywhere_though_A_is_not_negative_across_the_unseen_directions():
-    component = riccati(JAMES_BARAS_5_1, sample_time=0.01, guess={"x1": 0, "x2": 0, "x3": 0}, expose=["Q"])
+    identity = {"N": 1.0, "R": 1.0, "Q0": 1.0}
+    guess = {"x1": 0, "x2": 0, "x3": 0}
+    component = riccati(JAMES_BARAS_5_1, sample_time=0.01, guess=guess, expose=["Q"], **identity)
     found = constants(component)
     assert found["alpha0"] < 0 and found["q_paper"] == 1e30 and found["q"] < 100
     run = Instance(component)
