@@ -230,11 +230,14 @@ def test_what_does_not_fit_together_is_refused_by_name(observer: Component, feed
 def test_a_law_of_the_wrong_size_or_with_an_unknown_name_is_refused() -> None:
     with pytest.raises(ModelError, match=r"controller 'pull', law: 2 expressions for 1 variables \(rate\)"):
         controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: [x.level, 0])
-    with pytest.raises(ModelError, match="controller 'pull': there is no input 'height'; known: level"):
+    with pytest.raises(
+        ModelError,
+        match=r"controller 'pull', law, line \d+ of test_closed_loop\.py: there is no input 'height'; known: level",
+    ):
         controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: [x.height])
     with pytest.raises(ModelError, match="controller 'pull', law: the expression for 'rate' is not a scalar"):
         controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: [ca.vertcat(x.level, x.level)])
-    with pytest.raises(ModelError, match="controller 'pull': a list of expressions is wanted"):
+    with pytest.raises(ModelError, match="controller 'pull', law: a list of expressions is wanted"):
         controller("pull", inputs=[LEVEL], outputs=[RATE], law=lambda x, p, t: x.level)
 
 
