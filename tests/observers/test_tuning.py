@@ -23,7 +23,8 @@ def test_in_the_fmu_a_process_noise_has_no_unit_but_the_description_says_it(slav
     assert noise.unit is None and noise.declaredType is None
     assert noise.description == "process noise intensity of speed, in m/s per sqrt(s)"
     found = [fmu.get(f"tuning.{name}") for name in ("process_noise.v", "process_noise.s", "measurement_noise.y")]
-    assert found == [0.3, 1e-3, 0.2]
+    # By default 5e-4 of the nominal value, 1 m, a sample of 0.1 s.
+    assert found == pytest.approx([0.3, 5e-4 / 0.1**0.5, 0.2], rel=1e-15)
     assert [fmu.get(f"tuning.initial_std.{v}") for v in "sv"] == [2.0, 1.0]
 
 
