@@ -214,15 +214,16 @@ def _flow(v: SimpleNamespace, model: Model, first_guess: Model | None, N: int) -
     if first_guess is not None:
         after = ca.if_else(s.samples < N, moved(first_guess), after)
     finite = ca.sumsqr(after) < HUGE
-    back = ca.if_else(s.undoable, s.before, c.guess)
+    undone = s.undoable > 0
+    back = ca.if_else(undone, s.before, c.guess)
     return v.state.replace(
         v.z,
         x=ca.if_else(finite, after, back),
         X=ca.if_else(finite, s.X, ca.repmat(back, N, 1)),
-        undoable=ca.logic_and(s.undoable, finite),
+        undoable=ca.if_else(finite, s.undoable, ca.if_else(undone, -1, 0)),
         input_integral=s.input_integral + v.h * v.read.known,
         samples=ca.if_else(finite, s.samples, 0),
         status=ca.if_else(finite, s.status, CODE.solver_failed),
         failures=s.failures + ca.logic_not(finite),
-        restarts=s.restarts + ca.logic_not(ca.logic_or(finite, s.undoable)),
+        restarts=s.restarts + ca.logic_not(ca.logic_or(finite, undone)),
     )
