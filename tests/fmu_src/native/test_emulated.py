@@ -156,7 +156,7 @@ class Element:
         self._sources = {variable: start for start, (element, _, variable) in ends if element == name}
         outputs = [v for v in description.modelVariables if v.causality == "output"]
         self._reals = [v for v in outputs if v.type == "Real"]
-        self._integers = [v for v in outputs if v.type != "Real"]
+        self._integers = [v for v in outputs if v.type in ("Integer", "Enumeration")]  # a Boolean follows from them
 
     def set(self, name: str, value: float) -> str:
         variable = self.variables[name]
