@@ -4,6 +4,7 @@ samples and estimate contradict each other, is the estimate lost?
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -11,11 +12,13 @@ from typing import Any
 import casadi as ca
 
 from observers import ports
+from observers.component import Port
 from observers.model import Model
 from observers.numerics.consistency import chi_square_quantile, memory_size, tested
 from observers.numerics.finite import HUGE, finite, kept
 from observers.status import trusted
 
+SMALLEST_NOISE = 1e-9  # of an output's nominal value
 CARRIED = 2.0  # an innovation's deviation in those of a sample: the prediction carries the noise of the samples before
 GATED = 3  # samples in a row that may be outliers; more of them are none
 PATIENCE = 5  # samples in a row at which the guess predicts better, after which the estimate is lost
@@ -24,6 +27,24 @@ FAR = 10.0  # deviations: a prediction that is nearer to its measurement is not 
 QUIETER = 0.1  # of the given noise: the least that innovations are judged by
 LEARNT = 25.0  # samples in which the noise is learnt
 LOUD = 9.0  # squared, in those of the noise: what one innovation teaches at most
+
+
+def tuning(owner: str, model: Model, measurement_noise: Mapping[str, float] | None, part: float) -> tuple[Port, ...]:
+    """The ports of `noise` and `false_alarm` of `judged`; by default the noise is `part` of the nominal values.
+
+    Raises:
+        ModelError: a name in `measurement_noise` that is none of the outputs.
+    """
+    noise = ports.deviations(
+        owner,
+        "measurement_noise",
+        ports.MEASUREMENT_NOISE,
+        model.outputs,
+        measurement_noise,
+        part,
+        smallest=SMALLEST_NOISE,
+    )
+    return (*noise, ports.FALSE_ALARM)
 
 
 def memory(model: Model) -> dict[str, int]:

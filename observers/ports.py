@@ -276,6 +276,12 @@ def deviations(
     return tuple(made)
 
 
+def intensities(model: Model, sample_time: float, of_state: float, of_parameter: float) -> dict[str, float]:
+    """What makes these parts of a nominal value a sample, by name: of states, of unknown parameters, in their unit per sqrt(s)."""
+    parts = [(v, of_state) for v in model.states] + [(v, of_parameter) for v in model.unknown_parameters]
+    return {v.name: part * v.nominal / math.sqrt(sample_time) for v, part in parts}
+
+
 def process_noise(owner: str, model: Model, values: Mapping[str, float] | None, sample_time: float) -> tuple[Port, ...]:
     """`tuning.process_noise.<state or unknown parameter>`; by default STATE_PART or PARAMETER_PART of the nominal values a sample.
 
@@ -283,8 +289,7 @@ def process_noise(owner: str, model: Model, values: Mapping[str, float] | None, 
         ModelError: a name in `values` that is neither.
     """
     variables = (*model.states, *model.unknown_parameters)
-    parts = [STATE_PART] * len(model.states) + [PARAMETER_PART] * len(model.unknown_parameters)
-    usual = {v.name: part * v.nominal / math.sqrt(sample_time) for v, part in zip(variables, parts, strict=True)}
+    usual = intensities(model, sample_time, STATE_PART, PARAMETER_PART)
     return deviations(owner, "process_noise", PROCESS_NOISE, variables, usual | dict(values or {}), 0.0)
 
 

@@ -16,6 +16,7 @@ samples show, also on a model that is worse than its noise says.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -24,11 +25,11 @@ import casadi as ca
 
 from observers import ports
 from observers.component import Port
-from observers.model import Model
+from observers.model import Model, Variable
 from observers.numerics.consistency import memory_size, tested
 from observers.numerics.finite import HUGE, finite
 from observers.numerics.layout import Layout
-from observers.status import CODE
+from observers.status import CODE, worst
 
 GATE = Port(
     "tuning.gate",
@@ -38,6 +39,7 @@ GATE = Port(
     variability="tunable",
 )
 TUNING = (ports.FALSE_ALARM, ports.DEVIATION_LIMIT, GATE)
+SETTINGS = {port.name.removeprefix("tuning."): 1 for port in TUNING}  # their part of a filter's parameters
 
 ROW = 10  # outliers in a row, two for each that is none
 LARGEST, DRIFT, THRESHOLD = 8.0, 2.5, 60.0  # of `doubt`: eleven samples in a row far off; noise alone does not reach it
@@ -45,10 +47,8 @@ MOST_TRIES = 2  # each with twice the threshold of the one before
 PROVEN = 60  # samples after a restart, or samples in a row that fit, that end it
 LOSS, MOST_DISTRUST = 4.0, 500.0  # trust is away for so many samples for each that contradicted, and so many at most
 PROBATION = 1000.0  # the same after a restart of a paper's design, which follows what it is given for very long
-EARNED, SLOWLY_EARNED = (
-    20,
-    150,
-)  # samples in a row that fit until trust can be lost for longer; of a paper's design, which converges slowly
+# Samples in a row that fit until trust can be lost for longer; of a paper's design, which converges slowly.
+EARNED, SLOWLY_EARNED = 20, 150
 MEMORY = 100  # samples, of `level`
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
@@ -128,7 +128,7 @@ class Watch:
 
 @dataclass(frozen=True)
 class Verdict:
-    """`memory` after the sample; `inflate`, `restart`: what is to be done; `cases`: (condition, code) for `status.worst`."""
+    """`memory` after the sample; `inflate`, `restart`: what is to be done; `cases`: (condition, code) for `status_of`."""
 
     memory: Any
     inflate: Any
@@ -214,3 +214,24 @@ def verdict(
         (ca.logic_or(contradicted, distrust > LOSS), CODE.inconsistent),
     )
     return Verdict(after, ca.logic_and(again, ca.logic_not(restart)), restart, cases)
+
+
+def status_of(
+    said: Verdict, valid: Any, finite: Any, deviations: Any, tuning: SimpleNamespace, variables: Sequence[Variable]
+) -> Any:
+    """The status after a sample.
+
+    Args:
+        valid: (ny) which outputs were measured.
+        finite: whether the correction is.
+        deviations: (n) those of the estimate after the sample.
+        tuning: with `deviation_limit`.
+        variables: (n) what is estimated.
+    """
+    nominal = ca.DM([variable.nominal for variable in variables])
+    return worst(
+        (ca.sum1(valid) < valid.numel(), CODE.sample_rejected),
+        *said.cases,
+        (ca.sum1(deviations > tuning.deviation_limit * nominal) > 0, CODE.uncertain),
+        (ca.logic_not(finite), CODE.solver_failed),
+    )

@@ -27,6 +27,7 @@ SETTLING, QUIET, SUSPECTED, DETECTED = 1, 2, 3, 4
 
 SETTLED = 5.0  # times the design's slowest time constant
 SHORTEST, PERSISTENT = 20, 5  # samples
+SETTINGS = 3  # threshold, persistence, settling: what `tuning` makes
 
 
 def tuning(rate: float, sample_time: float) -> tuple[Port, ...]:

@@ -25,7 +25,7 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from observers import ports
+from observers import judgement, ports
 from observers.arguments import checked
 from observers.canonical_dae import fault_detector, sample
 from observers.canonical_dae.bdf import MOST
@@ -38,7 +38,6 @@ from observers.component import Component
 from observers.model import Model, refuse
 
 FASTEST = 10.0  # [1/s]: where the poles are by default
-SMALLEST_NOISE = 1e-9  # of an output's nominal value
 
 
 @checked
@@ -115,16 +114,7 @@ def canonical_dae(
             period,
             *chosen.tuning,
             *detector,
-            *ports.deviations(
-                "canonical_dae",
-                "measurement_noise",
-                ports.MEASUREMENT_NOISE,
-                model.outputs,
-                measurement_noise,
-                1e-3,
-                smallest=SMALLEST_NOISE,
-            ),
-            ports.FALSE_ALARM,
+            *judgement.tuning("canonical_dae", model, measurement_noise, 1e-3),
         ),
         outputs=(
             *ports.estimates(model),

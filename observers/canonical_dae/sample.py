@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers import judgement, ports
+from observers import judgement, ports, undo
 from observers.canonical_dae import fault_detector
 from observers.canonical_dae.dae import Dae
 from observers.canonical_dae.gain import Gain
@@ -50,14 +50,12 @@ class Method:
 
     @property
     def settings(self) -> Layout:
-        detector = 3 if self.dae.n_lambda else 0  # `fault_detector.tuning`
-        known = len(self.model.parameters)
         return Layout(
             guess=self.dae.n,
-            model=known,
+            model=len(self.model.parameters),
             sample_time=1,
             gain=len(self.gain.tuning),
-            detector=detector,
+            detector=fault_detector.SETTINGS if self.dae.n_lambda else 0,
             noise=self.dae.n_outputs,
             false_alarm=1,
         )
@@ -142,7 +140,7 @@ def flow(method: Method) -> ca.Function:
     forced = ca.mtimes(ca.DM(dae.E), s.d) if dae.n_disturbances else 0
     moved = runge_kutta(lambda x, time: rhs(x, inputs, q.model, time) + forced, s.x, t, h, CLASSICAL_4)
     whole = ca.sumsqr(moved) < HUGE
-    back = ca.if_else(s.undoable > 0, s.before, q.guess)
+    back, told = undo.escaped(s, q.guess, whole)
     after = state.replace(
         z,
         x=ca.if_else(whole, moved, back),
@@ -150,11 +148,8 @@ def flow(method: Method) -> ca.Function:
         mu=ca.if_else(whole, s.mu, 0),
         d=ca.if_else(whole, s.d, 0),
         k=ca.if_else(whole, s.k, 0),
-        undoable=ca.if_else(whole, s.undoable, ca.if_else(s.undoable > 0, -1, 0)),
-        restarts=s.restarts + ca.logic_not(ca.logic_or(whole, s.undoable > 0)),
         input_integral=s.input_integral + h * inputs,
-        status=ca.if_else(whole, s.status, CODE.solver_failed),
-        failures=s.failures + ca.logic_not(whole),
+        **told,
     )
     return ca.Function("flow", [z, u, p, t, h], [after])
 
@@ -206,8 +201,7 @@ def jump(method: Method) -> ca.Function:
 
     # 2. Where it failed, the prediction; where the prediction left the domain, the one before the last sample; in the end the guess.
     lost = ca.if_else(failed, s.outpredicted + 1, sample.memory["outpredicted"])
-    outside = ca.logic_not(sample.readable)
-    undone, stuck = ca.logic_and(outside, s.undoable > 0), ca.logic_and(outside, ca.logic_not(s.undoable > 0))
+    undone, stuck = undo.at_sample(s, ca.logic_not(sample.readable))
     again = ca.logic_or(lost >= judgement.PATIENCE, stuck)
     left = ca.if_else(again, q.guess, ca.if_else(undone, s.before, s.x))
     fresh = ca.logic_or(failed, again)
@@ -239,9 +233,8 @@ def jump(method: Method) -> ca.Function:
         {
             "x": x,
             "x_filtered": x,
-            "before": ca.if_else(again, q.guess, ca.if_else(undone, s.before, s.x)),
-            # What escaped without the last sample too is no place to go back to.
-            "undoable": ca.logic_and(ca.logic_not(ca.logic_or(again, undone)), s.undoable >= 0),
+            "before": left,
+            "undoable": undo.undoable(s, undone, again),
             "mu": mu,
             "d": d,
             "y": found.y,

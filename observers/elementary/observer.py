@@ -26,7 +26,7 @@ from typing import Any
 
 import casadi as ca
 
-from observers import ports
+from observers import judgement, ports, undo
 from observers.arguments import checked
 from observers.component import Component, Port
 from observers.elementary import ports as elementary_ports
@@ -42,8 +42,6 @@ from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
 from observers.status import CODE
 from observers.status import shown as verdict
-
-SMALLEST_NOISE = 1e-9  # of an output's nominal value
 
 
 @checked
@@ -132,16 +130,7 @@ def elementary(
             *ports.known_parameters(model),
             *weighed,
             *elementary_ports.limits(K),
-            *ports.deviations(
-                METHOD,
-                "measurement_noise",
-                ports.MEASUREMENT_NOISE,
-                model.outputs,
-                measurement_noise,
-                1e-2,
-                smallest=SMALLEST_NOISE,
-            ),
-            ports.FALSE_ALARM,
+            *judgement.tuning(METHOD, model, measurement_noise, 1e-2),
             period,
         ),
         outputs=(
@@ -214,16 +203,12 @@ def _flow(v: SimpleNamespace, model: Model, first_guess: Model | None, N: int) -
     if first_guess is not None:
         after = ca.if_else(s.samples < N, moved(first_guess), after)
     finite = ca.sumsqr(after) < HUGE
-    undone = s.undoable > 0
-    back = ca.if_else(undone, s.before, c.guess)
+    back, told = undo.escaped(s, c.guess, finite)
     return v.state.replace(
         v.z,
         x=ca.if_else(finite, after, back),
         X=ca.if_else(finite, s.X, ca.repmat(back, N, 1)),
-        undoable=ca.if_else(finite, s.undoable, ca.if_else(undone, -1, 0)),
         input_integral=s.input_integral + v.h * v.read.known,
         samples=ca.if_else(finite, s.samples, 0),
-        status=ca.if_else(finite, s.status, CODE.solver_failed),
-        failures=s.failures + ca.logic_not(finite),
-        restarts=s.restarts + ca.logic_not(ca.logic_or(finite, undone)),
+        **told,
     )

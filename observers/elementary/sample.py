@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from observers import judgement, ports
+from observers import judgement, ports, undo
 from observers.elementary.columns import repeated
 from observers.elementary.identifiability import least_visible
 from observers.elementary.iteration import active_nodes
@@ -94,8 +94,7 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     X, W = ca.if_else(accepted, X_new, moved.X), ca.if_else(accepted, W_new, moved.W)
     # A failure begins a new window at the prediction, or, where that left the domain of h, at the one before the last sample. What fails
     # again before that window is full, or predicts worse than the guess, starts from the guess.
-    outside = ca.logic_not(sample.readable)
-    undone, stuck = ca.logic_and(outside, s.undoable > 0), ca.logic_and(outside, ca.logic_not(s.undoable > 0))
+    undone, stuck = undo.at_sample(s, ca.logic_not(sample.readable))
     again = ca.logic_or(ca.logic_and(failed, ca.logic_not(full)), stuck)
     again = ca.logic_or(again, kept_judgement["outpredicted"] >= judgement.PATIENCE)
     restarted = ca.logic_or(ca.logic_or(failed, undone), again)
@@ -139,8 +138,7 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
             "x": x,
             "x_filtered": x,
             "before": left,
-            # What escaped without the last sample too is no place to go back to.
-            "undoable": ca.logic_and(ca.logic_not(ca.logic_or(again, undone)), s.undoable >= 0),
+            "undoable": undo.undoable(s, undone, again),
             "X": ca.if_else(restarted, ca.repmat(left, N, 1), ca.vec(X)),
             "W": ca.if_else(again, ca.repmat(c.guess_w, N - 1, 1), ca.vec(W)) if k else ca.MX(0, 1),
             "Y": ca.vec(moved.Y),

@@ -18,8 +18,8 @@ from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.riccati import UNROLLED
 from observers.numerics.runge_kutta import runge_kutta
-from observers.status import CODE, worst
-from observers.vigilance import Watch, verdict
+from observers.status import CODE
+from observers.vigilance import SETTINGS, Watch, status_of, verdict
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,7 @@ def parts(model: Model, line: Linearisation, weights: Weights) -> Parts:
         contraction=1, certified=1, intervals=1, rejected=1, failures=1, restarts=1,
     )  # fmt: skip
     tuned = {"samples": len(weights.samples), "prior": len(weights.prior)}
-    watched = {"false_alarm": 1, "deviation_limit": 1, "gate": 1}
-    settings = Layout(guess=n, model=len(model.parameters), T=1, **tuned, **watched, sample_time=1)
+    settings = Layout(guess=n, model=len(model.parameters), T=1, **tuned, **SETTINGS, sample_time=1)
     z, u, p, t, h = (
         ca.MX.sym(*shape)
         for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
@@ -189,13 +188,7 @@ def jump(v: Parts) -> ca.Function:
         failures=s.failures + ca.logic_not(finite),
         restarts=s.restarts + anew,
     )
-    nominal = ca.DM([variable.nominal for variable in line.variables])
-    status = worst(
-        (ca.sum1(valid) < ny, CODE.sample_rejected),
-        *said.cases,
-        (ca.sum1(v.deviations(v.state.unpack(after)) > q.deviation_limit * nominal) > 0, CODE.uncertain),
-        (ca.logic_not(finite), CODE.solver_failed),
-    )
+    status = status_of(said, valid, finite, v.deviations(v.state.unpack(after)), q, line.variables)
     return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)])
 
 

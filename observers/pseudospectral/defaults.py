@@ -16,17 +16,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from observers import ports
 from observers.linearisation import fastest_rate
 from observers.model import Model
 from observers.numerics.semilinear import lift_inputs, split
 
 PAPER = {"N": 15, "L": 8, "segments": 1}
 SHORTEST = 10  # samples of a window
-ORDER, STIFF_ORDER, STIFFEST_ORDER = (
-    4,
-    6,
-    8,
-)  # of a segment up to 2 and 10 of the fastest time constants long, and beyond
+# Of a segment up to 2 and 10 of the fastest time constants long, and beyond.
+ORDER, STIFF_ORDER, STIFFEST_ORDER = 4, 6, 8
 # Noise over a sample in units of nominal values: states, unknown parameters. A parameter may wander faster, so that one that has jumped is
 # found again: of four models from the literature none has more than three times the error of a Kalman filter that knows all noises.
 STATE_NOISE, PARAMETER_NOISE = 1e-3, 2.5e-3
@@ -80,8 +78,7 @@ def structure(
 
 def process_noise(model: Model, sample_time: float) -> dict[str, float]:
     """Intensities by name, in the variable's unit per sqrt(s)."""
-    over_sample = [(v, STATE_NOISE) for v in model.states] + [(v, PARAMETER_NOISE) for v in model.unknown_parameters]
-    return {v.name: part * v.nominal / math.sqrt(sample_time) for v, part in over_sample}
+    return ports.intensities(model, sample_time, STATE_NOISE, PARAMETER_NOISE)
 
 
 def longest_step(sample_time: float) -> float:

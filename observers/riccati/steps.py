@@ -20,8 +20,8 @@ from observers.riccati.certificates import NONE, Certificate, certify
 from observers.riccati.correction import correction
 from observers.riccati.design import Design
 from observers.riccati.rosenbrock import rosenbrock
-from observers.status import CODE, worst
-from observers.vigilance import Watch, verdict
+from observers.status import CODE
+from observers.vigilance import SETTINGS, Watch, status_of, verdict
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,7 @@ def parts(model: Model, line: Linearisation, design: Design, certificate: Certif
         m=n, Q=n * n, m_filtered=n, before=n, undoable=1, guess_error=1, innovation=ny, watch=watch.state.total, status=1, certified=1,
         rate=1, rejected=1, failures=1, restarts=1,
     )  # fmt: skip
-    watched = {"false_alarm": 1, "deviation_limit": 1, "gate": 1}
-    settings = Layout(guess=n, model=len(model.parameters), **design.sizes, initial_error=1, **watched, sample_time=1)
+    settings = Layout(guess=n, model=len(model.parameters), **design.sizes, initial_error=1, **SETTINGS, sample_time=1)
     z, u, p, t, h = (
         ca.MX.sym(*shape)
         for shape in (("z", state.total), ("u", ports.n_inputs(model)), ("p", settings.total), ("t",), ("h",))
@@ -145,7 +144,6 @@ def jump(v: Parts) -> ca.Function:
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     Q_after = ca.vec(Q_after)
     finite = ca.sumsqr(ca.vertcat(m, Q_after)) < HUGE
-    incomplete = ca.sum1(valid) < ny
     certified, rate = _certified(v, ca.if_else(finite, m, s.m), ca.sum1(acting) < ny)
     anew = ca.logic_or(said.inflate, said.restart)
     first = v.watch.again(said.memory) * ca.vec(ca.densify(v.Q0))
@@ -165,13 +163,7 @@ def jump(v: Parts) -> ca.Function:
         failures=s.failures + ca.logic_not(finite),
         restarts=s.restarts + anew,
     )
-    nominal = ca.DM([variable.nominal for variable in line.variables])
-    status = worst(
-        (incomplete, CODE.sample_rejected),
-        *said.cases,
-        (ca.sum1(v.deviations(v.state.unpack(after)) > q.deviation_limit * nominal) > 0, CODE.uncertain),
-        (ca.logic_not(finite), CODE.solver_failed),
-    )
+    status = status_of(said, valid, finite, v.deviations(v.state.unpack(after)), q, line.variables)
     return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)])
 
 

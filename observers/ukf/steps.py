@@ -15,9 +15,9 @@ from observers.numerics import linear
 from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
-from observers.status import CODE, worst
+from observers.status import CODE
 from observers.status import shown as verdict_shown
-from observers.vigilance import Watch, verdict
+from observers.vigilance import SETTINGS, Watch, status_of, verdict
 
 NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
 
@@ -96,8 +96,7 @@ def parts(model: Model, noise_known: bool) -> Parts:
         failures=1, restarts=1,
     )  # fmt: skip
     settings = Layout(
-        guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, false_alarm=1, deviation_limit=1, gate=1,
-        sample_time=1,
+        guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, **SETTINGS, sample_time=1,
     )  # fmt: skip
     z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model)), ca.SX.sym("p", settings.total)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
@@ -153,7 +152,7 @@ def flow(v: Parts) -> ca.Function:
 def jump(v: Parts) -> ca.Function:
     """jump(z, u, p, t) -> z: the points become mean and square root, process noise is added, new points see the measurement."""
     s, q, read, weights, n_points = v.s, v.q, v.read, v.weights, v.n_points
-    eq, ny = v.model.equations, len(v.model.outputs)
+    eq = v.model.equations
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
     mean, root = _moments(v.points, weights, ca.diag(q.noise * ca.sqrt(q.sample_time)))
     drawn = v.drawn(mean, root)
@@ -197,13 +196,7 @@ def jump(v: Parts) -> ca.Function:
             "restarts": s.restarts + ca.logic_or(said.inflate, said.restart),
         }
     )
-    nominal = ca.DM([variable.nominal for variable in v.variables])
-    status = worst(
-        (ca.sum1(valid) < ny, CODE.sample_rejected),
-        *said.cases,
-        (ca.sum1(v.deviations(v.state.unpack(after)) > q.deviation_limit * nominal) > 0, CODE.uncertain),
-        (ca.logic_not(finite), CODE.solver_failed),
-    )
+    status = status_of(said, valid, finite, v.deviations(v.state.unpack(after)), q, v.variables)
     return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)], {"cse": True})
 
 
