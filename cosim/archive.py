@@ -78,7 +78,8 @@ def parsed(archive: zipfile.ZipFile, member: str, label: str) -> etree._Element:
         # No entities, no network: the file may come from anywhere.
         root = etree.fromstring(archive.read(member), etree.XMLParser(resolve_entities=False, no_network=True))
     except etree.XMLSyntaxError as error:
-        raise SystemFileError(f"{label}: {member}, line {error.lineno}: {error.msg}") from None
+        said = str(error.msg).partition("\n")[0]  # the parser repeats the place on a line of its own
+        raise SystemFileError(f"{label}: {member}, line {error.lineno}: {said}") from None
     if root.getroottree().docinfo.doctype:
         raise SystemFileError(f"{label}: {member} has a document type, which neither FMI nor SSP knows")
     return root

@@ -109,7 +109,7 @@ def _parsed(path: Path, document: bytes) -> etree._Element:
     try:
         return etree.fromstring(document)
     except etree.XMLSyntaxError as error:
-        raise NotAnFmu(f"{path}: {DESCRIPTION}, line {error.lineno}: {error.msg}") from None
+        raise NotAnFmu(f"{path}: {DESCRIPTION}, line {error.lineno}: {one_line(str(error.msg))}") from None
     except (ValueError, LookupError) as error:  # an encoding that does not exist
         raise NotAnFmu(f"{path}: {DESCRIPTION} is no XML ({error})") from None
 

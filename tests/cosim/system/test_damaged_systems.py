@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import strict_fmu
@@ -104,6 +104,7 @@ def test_bytes_of_the_file(places: list[tuple[float, int, bytes]], compression: 
 
 @SETTINGS
 @given(PLACES, st.sampled_from([STRUCTURE, VALUES]))
+@example([(0.5, 0, b"\0")], STRUCTURE)
 def test_bytes_of_a_member(places: list[tuple[float, int, bytes]], member: str) -> None:
     members = contents()
     members[member] = mutated(members[member], places)
