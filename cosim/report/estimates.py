@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cosim.results import Result
+from cosim.system.system import element_of
 
 TRUTHS = ("x", "z")  # under which a plant puts out its true states and parameters, and its algebraic variables
 
@@ -60,10 +61,9 @@ def _upstream(element: str, sources: Mapping[str, frozenset[str]]) -> set[str]:
 
 
 def _parts(name: str, elements: Collection[str]) -> tuple[str, str, str]:
-    """`plant.x.x1` as (plant, x, x1); empty what is not there. An element of a nested system has dots in its name."""
-    words = name.split(".")
-    for i in range(1, len(words)):
-        element = ".".join(words[:i])
-        if element in elements:
-            return element, words[i], ".".join(words[i + 1 :])
-    return "", "", ""
+    """`plant.x.x1` as (plant, x, x1); empty what is not there."""
+    element = element_of(name, elements)
+    if element is None:
+        return "", "", ""
+    kind, _, variable = name[len(element) + 1 :].partition(".")
+    return element, kind, variable

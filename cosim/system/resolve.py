@@ -11,7 +11,7 @@ from cosim.errors import SystemFileError, suggest
 from cosim.fmu import Value, read_fmu, typed_value, unit_of
 from cosim.system.resolved import Connection, Exposure, ResolvedSystem, Supply, listed
 from cosim.system.route import Quantity, Route, conversions, fitted
-from cosim.system.system import Connector, Element, System
+from cosim.system.system import Connector, Element, System, element_of
 from cosim.system.transformation import Transformation, apply
 from cosim.system.units import Unit, fmu_units
 
@@ -66,9 +66,7 @@ def find_variable(variables: Mapping[str, Mapping[str, ModelVariable]], path: st
     parts = path.split(".")
     if len(parts) < 2 or not all(parts[:2]):
         raise ValueError(f"'{path}' is not of the form <element>.<variable>")
-    # An element of a nested system has dots in its name; no element's name begins with another's and a dot.
-    found = (".".join(parts[:i]) for i in range(1, len(parts)))
-    element = next((name for name in found if name in variables), None)
+    element = element_of(path, variables)
     if element is None:
         raise ValueError(f"there is no element '{parts[0]}' ({path}); {suggest(parts[0], variables)}")
     name = path[len(element) + 1 :]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fmpy.model_description import ModelVariable
 
 from cosim.fmu import Value, enumeration_items
-from cosim.system.transformation import ItemTable, Linear, Table, Transformation, merged
+from cosim.system.transformation import ItemTable, Linear, Transformation, merged
 from cosim.system.units import Unit, conversion
 
 
@@ -77,16 +76,8 @@ def fitted(
     made: list[Transformation] = []
     for step in merged(steps):
         if isinstance(step, ItemTable) and source is not None:
-            step = step.numbered(_items(source), _items(target))
-        kinds = (
-            ("Real",)
-            if isinstance(step, Linear)
-            else ("Enumeration",)
-            if isinstance(step, ItemTable)
-            else ("Boolean",)
-            if isinstance(step, Table) and step.boolean
-            else ("Integer", "Enumeration")
-        )
+            step = step.numbered(enumeration_items(source), enumeration_items(target))
+        kinds = _kinds(step)
         for variable in (target, source or target):
             if variable.type not in kinds:
                 raise ValueError(
@@ -96,5 +87,10 @@ def fitted(
     return tuple(made)
 
 
-def _items(variable: ModelVariable) -> Mapping[int, str]:
-    return enumeration_items(variable)
+def _kinds(step: Transformation) -> tuple[str, ...]:
+    """The types of variables that `step` suits."""
+    if isinstance(step, Linear):
+        return ("Real",)
+    if isinstance(step, ItemTable):
+        return ("Enumeration",)
+    return ("Boolean",) if step.boolean else ("Integer", "Enumeration")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -163,7 +163,7 @@ def _package(file: _File, element: etree._Element, source: str) -> Node:
         return _nested(file, element, inner, lambda deeper: read_structure(deeper, chosen or STRUCTURE)[1])
 
 
-def _nested(file: _File, element: etree._Element, package: Package, read) -> Node:  # type: ignore[no-untyped-def]
+def _nested(file: _File, element: etree._Element, package: Package, read: Callable[[Package], Node]) -> Node:
     if package.depth >= DEEPEST:
         raise file.refuse(
             element, f"element '{element.get('name')}' lies in more than {DEEPEST} systems: does one hold itself?"

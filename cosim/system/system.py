@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -70,3 +70,12 @@ class System:
     connectors: Mapping[str, Connector] = field(default_factory=dict)
     routes: Mapping[str, Route] = field(default_factory=dict)
     notes: Sequence[str] = ()
+
+
+def element_of(path: str, elements: Collection[str]) -> str | None:
+    """The element that `<element>.<variable>` begins with; None if it is none of the `elements`.
+
+    An element of a nested system has dots in its name; no element's name begins with another's and a dot.
+    """
+    parts = path.split(".")
+    return next((name for i in range(1, len(parts)) if (name := ".".join(parts[:i])) in elements), None)
