@@ -167,9 +167,8 @@ def load(path: Path, number: int, values: Mapping[str, float | int], pairs: int)
         return made
     except MemoryError:
         reason = "it asks for more memory than there is"
-    except (
-        Exception
-    ) as error:  # of the zip file, of its compression, of numpy's format, of JSON: each has errors of its own
+    # The zip file, its compression, numpy's format and JSON have errors of their own each.
+    except Exception as error:
         reason = str(error) or type(error).__name__
     raise SystemFileError(f"{path}: not the record of this run ({reason}); delete it to run it again")
 
@@ -177,18 +176,18 @@ def load(path: Path, number: int, values: Mapping[str, float | int], pairs: int)
 def _outcome(path: Path) -> Outcome:
     with zipfile.ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
-    if size > LARGEST_RECORD:
-        raise ValueError(f"{size} bytes, more than {LARGEST_RECORD}")
-    with np.load(path, allow_pickle=False) as stored:
+        if size > LARGEST_RECORD:
+            raise ValueError(f"{size} bytes, more than {LARGEST_RECORD}")
         for name in ("head", "time", "truths", "estimates"):
-            _check_header(path, name)
+            _check_header(archive, name)
+    with np.load(path, allow_pickle=False) as stored:
         head = json.loads(str(stored["head"]))
         return Outcome(**head, time=stored["time"], truths=stored["truths"], estimates=stored["estimates"])
 
 
-def _check_header(path: Path, name: str) -> None:
+def _check_header(archive: zipfile.ZipFile, name: str) -> None:
     """Refuse an array whose header promises more than its entry holds, before numpy makes room for it."""
-    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as entry:
+    with archive.open(f"{name}.npy") as entry:
         version = np.lib.format.read_magic(entry)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, kind = read(entry)
