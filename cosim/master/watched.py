@@ -24,7 +24,7 @@ import numpy as np
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.fmu import Value
 from cosim.master.child import Begun, Ended, Request, mapped, receive, send
-from cosim.master.run import Inputs
+from cosim.master.run import NOTHING, Inputs
 from cosim.master.slave import CALLS, GET, RunError
 from cosim.python import command, environment
 from cosim.results import Message, Result
@@ -95,7 +95,7 @@ class Child:
             given = inputs.resolve() if isinstance(inputs, Path) else inputs
             self._said.clear()
             try:
-                self._send(Request(whole, folder, stop, step, dict(overrides or {}), given), folder)
+                self._send(Request(whole, folder, stop, step, dict(overrides or {}), given))
                 return self._watch(folder, progress, limit)
             except BaseException as error:
                 if not isinstance(error, (SystemFileError, ExperimentError, RunError)):
@@ -104,7 +104,7 @@ class Child:
                     raise type(error)(str(error).replace(str(whole), str(system))) from None  # as the caller calls it
                 raise
 
-    def _send(self, request: Request, folder: Path) -> None:
+    def _send(self, request: Request) -> None:
         if self._process is None or self._process.poll() is not None:
             self._start()
         assert self._process is not None and self._process.stdin is not None
@@ -138,15 +138,15 @@ class Child:
 
     def _watch(self, folder: Path, progress: Callable[[int, int], None] | None, limit: float) -> Result:
         begun: Begun | None = None
-        here = np.array([0, -2])
+        here = np.array([0, NOTHING])
         messages: list[Message] = []
-        seen, since = (0, -2), clock.monotonic()
+        seen, since = (0, NOTHING), clock.monotonic()
         while True:
             try:
                 answer = self._answers.get(timeout=LOOK)
             except queue.Empty:
                 now = (int(here[0]), int(here[1]))
-                if now != seen or now[1] < -1:
+                if now != seen or now[1] == NOTHING:
                     seen, since = now, clock.monotonic()
                     if progress is not None and begun is not None and now[1] > 0:
                         progress(now[1], begun.outline.steps)
