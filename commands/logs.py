@@ -9,6 +9,10 @@ import typer
 from cosim.replay.log import Log, Rows
 from cosim.replay.reading import Reading
 
+SampleTime = Annotated[
+    float | None,
+    typer.Option(help="Seconds between the rows of a file without a column 'time'.", show_default=False),
+]
 Separator = Annotated[
     str | None,
     typer.Option(help="Between the cells: ',', ';', '|', ' ' or tab.", show_default="found from the file"),

@@ -11,7 +11,7 @@ import typer
 from rich.text import Text
 
 from commands.console import fail, late_progress, out, split_assignments
-from commands.logs import Decimal, Encoding, Missing, Separator, SkipBadRows, SkipLines, how_read, reading
+from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, how_read, reading
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master.slave import RunError
 from cosim.replay import Replay
@@ -37,10 +37,7 @@ def replay(
             "--out", metavar="DIR", help="Where the files go.", show_default="results/<name of the FMU>_replay"
         ),
     ] = None,
-    sample_time: Annotated[
-        float | None,
-        typer.Option(help="Seconds between the rows of a file without a column 'time'.", show_default=False),
-    ] = None,
+    sample_time: SampleTime = None,
     mapped: Annotated[
         list[str] | None,
         typer.Option(

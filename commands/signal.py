@@ -12,7 +12,7 @@ import typer
 from rich.markup import escape
 
 from commands.console import err, fail, out, split_assignments
-from commands.logs import Decimal, Encoding, Missing, Separator, SkipBadRows, SkipLines, how_read, reading
+from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, how_read, reading
 from cosim.errors import ExperimentError
 from cosim.replay import units
 from cosim.replay.log import Column, Log, read_log
@@ -48,10 +48,7 @@ def signal(
             show_default="an output for each column",
         ),
     ] = None,
-    sample_time: Annotated[
-        float | None,
-        typer.Option(help="Seconds between the rows of a file without a column 'time'.", show_default=False),
-    ] = None,
+    sample_time: SampleTime = None,
     platforms: Annotated[
         str, typer.Option(help="As of build: host, all, or names of platforms, with commas.")
     ] = "host",
