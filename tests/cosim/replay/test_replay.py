@@ -34,7 +34,7 @@ TOY = ("estimate.level", "filtered.level", "diagnostics.rejected_samples")
 def observer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The observer of the paper's Examples 1 and 2."""
     return export(
-        pseudospectral(DUFFING, sample_time=0.1, guess={"x1": 0.0, "x2": 0.0, "theta": 0.1}),
+        pseudospectral(DUFFING, sample_time=0.1, N=15, guess={"x1": 0.0, "x2": 0.0, "theta": 0.1}),
         tmp_path_factory.mktemp("fmu"),
     )
 
