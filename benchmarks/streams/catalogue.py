@@ -220,7 +220,7 @@ def _literature(
     noises = {v.name: noise for v in model.outputs}
     scenario = _scenario(
         model.name,
-        cache(lambda: plant(model, max_step=sample_time)),
+        cache(lambda: plant(model, max_step=sample_time / 100)),
         sample_time,
         samples,
         noise=noises,

@@ -71,6 +71,14 @@ class Parts:
         center = ca.repmat(mean, 1, self.n)
         return projected(self.variables, ca.horzcat(mean, center + wide, center - wide))
 
+    @property
+    def mean(self) -> Any:
+        """The estimate now (n): the mean of the points, and while they stand where they were drawn, what they were drawn around.
+
+        Points that were cut to the bounds have another mean.
+        """
+        return ca.if_else(self.s.elapsed == 0, self.s.filtered, ca.mtimes(self.points, self.weights))
+
     def deviations(self, s: SimpleNamespace) -> Any:
         """The standard deviations (n) of the estimate in the state `s`, with the process noise since the last sample.
 
@@ -154,7 +162,7 @@ def jump(v: Parts) -> ca.Function:
     s, q, read, weights, n_points = v.s, v.q, v.read, v.weights, v.n_points
     eq = v.model.equations
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
-    mean, root = _moments(v.points, weights, ca.diag(q.noise * ca.sqrt(q.sample_time)))
+    mean, root = v.mean, _root(v.points, weights, ca.diag(q.noise * ca.sqrt(q.sample_time)))
     drawn = v.drawn(mean, root)
     seen = ca.horzcat(*[v.at(measure, drawn[:, i], v.t) for i in range(n_points)])
     if any(output.wrap for output in v.model.outputs):  # on the circle, around the prediction
@@ -202,9 +210,9 @@ def jump(v: Parts) -> ca.Function:
 
 def output(v: Parts) -> ca.Function:
     """output(z, u, p, t) -> y: mean and standard deviations now, and what the last sample left."""
-    s, current = v.s, ca.mtimes(v.points, v.weights)
+    s = v.s
     shown = [
-        current,
+        v.mean,
         s.filtered,
         verdict_shown(s.status),
         s.innovation,
@@ -233,8 +241,8 @@ def _gain(dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any, innovatio
     return K, linear.square_root(ca.horzcat(*columns)), squared
 
 
-def _moments(points: Any, weights: Any, noise_root: Any) -> tuple[Any, Any]:
-    """Mean (n) of the points and the square root (n x n) of their covariance plus noise_root noise_root'."""
+def _root(points: Any, weights: Any, noise_root: Any) -> Any:
+    """The square root (n x n) of the covariance of the points plus noise_root noise_root'."""
     mean = ca.mtimes(points, weights)
     spread = ca.mtimes(points - ca.repmat(mean, 1, points.shape[1]), ca.diag(ca.sqrt(weights)))
-    return mean, linear.square_root(ca.horzcat(spread, noise_root))
+    return linear.square_root(ca.horzcat(spread, noise_root))

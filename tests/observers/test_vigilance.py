@@ -17,6 +17,7 @@ from observers.component import Component
 from observers.instance import Instance
 from observers.least_squares import least_squares
 from observers.model import Model, ModelError, Variable
+from observers.pseudospectral import pseudospectral
 from observers.riccati import riccati
 from observers.status import CODE
 from observers.ukf import ukf
@@ -162,6 +163,18 @@ def test_estimates_stay_within_the_bounds(make: Callable[..., Component]) -> Non
             assert v.min <= run.get(f"estimate.{v.name}") <= v.max, (k, v.name)
         assert np.isfinite(run.outputs()).all()
     assert run.get("diagnostics.solver_failures") == 0
+
+
+@pytest.mark.parametrize("make", [ukf, riccati, pseudospectral])
+def test_the_estimate_before_the_first_sample_is_the_guess_however_near_a_bound(make: Callable[..., Component]) -> None:
+    """The sigma points of a guess near a bound are cut there, and have another mean than the guess."""
+    guess = {v.name: v.min + 0.1 * v.nominal for v in QUADRUPLE_TANK.states}
+    run = Instance(make(QUADRUPLE_TANK, sample_time=2.0, guess=guess))
+    assert {name: run.get(f"estimate.{name}") for name in guess} == guess
+    for v in QUADRUPLE_TANK.outputs:
+        run.set(v.name, math.nan)
+    run.step(0.0, 2.0)
+    assert {name: run.get(f"filtered.{name}") for name in guess} == guess
 
 
 ANGLE = Model(
