@@ -6,7 +6,8 @@ noise is, all of it has a common factor that is learned from the innovations the
 A measurement farther than `tuning.gate` from its prediction is an outlier: it enters the window with a weight that falls with the square
 of its distance, and its pull with the distance (Huber's weights, but redescending; within the gate the weight is 1, and nothing changes).
 A run of them means that the estimate is wrong, not the sensor: then all samples of the window count again, the arrival cost is forgotten,
-and where that does not help within three windows the observer starts again from the guess, then after twice as long, and so on.
+and where that does not help within three windows the observer starts again from the guess, then after twice as long, and so on. Samples that
+contradict the estimate by less than an outlier let the arrival cost be forgotten only after a window of them.
 """
 
 from __future__ import annotations
@@ -33,16 +34,16 @@ MOST_RESTARTS = 20  # doublings of the time until the next
 class Tested:
     """`weight` (ny) of the sample in the window; `outlier`, whether one has less than 1.
 
-    `inconsistent`, `begins`: whether the last samples contradict the estimate, and since this one; `forgets`, whether the past does not
-    count therefore, `restart`, whether it is time to start again from the guess. `settling`: consistent again, but not for long enough.
+    `inconsistent`: whether the last samples contradict the estimate; `forgets`, `begins`: whether the past does not count therefore, and
+    since this one, `restart`, whether it is time to start again from the guess. `settling`: consistent again, but not for long enough.
     `state`: what is kept.
     """
 
     weight: Any
     outlier: Any
     inconsistent: Any
-    begins: Any
     forgets: Any
+    begins: Any
     restart: Any
     settling: Any
     state: dict[str, Any]
@@ -58,6 +59,7 @@ def state(method: Method) -> dict[str, int]:
         "trouble": 1,
         "heavy": 1,
         "quiet": 1,
+        "forgetting": 1,
     }
 
 
@@ -100,18 +102,21 @@ def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested
     far = ca.logic_and(ca.logic_and(due, quiet == 0), ca.logic_not(normalised**2 <= limit))
     weight = ca.if_else(ca.logic_and(far, valid), ca.fmin(limit / normalised**2, 1), 1)
     weight = ca.if_else(ca.fabs(weight) <= 1, weight, 0)
+    # A model that is a little wrong contradicts some samples slightly now and then: what was learned from the others is worth more.
+    gross = ca.sum1(ca.logic_and(valid, ca.logic_not(normalised**2 <= limit))) > 0
+    forgets = ca.logic_and(ca.logic_and(recovers, inconsistent), ca.logic_or(gross, doubt > L))
+    begins = ca.logic_and(forgets, ca.logic_not(s.forgetting))
     kept = {
         # After a window all samples are newer than the contradiction: what lasts shows itself again.
         "tests": ca.if_else(ca.logic_and(due, doubt <= L), found.memory, 0),
         "doubt": doubt,
         "trouble": trouble,
         "quiet": quiet,
+        "forgetting": forgets,
         **_learned(method, s, alone, valid, inconsistent),
     }
     outlier = ca.sum1(weight < 1) > 0
-    return Tested(
-        weight, outlier, inconsistent, doubt == RUN, ca.logic_and(recovers, inconsistent), restart, quiet > 0, kept
-    )
+    return Tested(weight, outlier, inconsistent, forgets, begins, restart, quiet > 0, kept)
 
 
 def heavy(method: Method, now: Any, W: Any, cost: Any) -> Any:

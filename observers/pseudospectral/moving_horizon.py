@@ -109,7 +109,7 @@ def _next(
         "node0_residual": worth.node0,
         "rejected": s.rejected + (ca.sum1(unreadable) > 0),
         "failures": s.failures + solution.failed,
-        "restarts": s.restarts + (ca.logic_and(tested.begins, tested.forgets) if method.arrival else 0),
+        "restarts": s.restarts + (tested.begins if method.arrival else 0),
         **tested.state,
         "heavy": worth.heavy,
         "quiet": ca.fmax(tested.state["quiet"], worth.heavy * innovation_test.patience(method)),
