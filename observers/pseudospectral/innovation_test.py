@@ -6,8 +6,8 @@ noise is, all of it has a common factor that is learned from the innovations the
 A measurement farther than `tuning.gate` from its prediction is an outlier: it enters the window with a weight that falls with the square
 of its distance, and its pull with the distance (Huber's weights, but redescending; within the gate the weight is 1, and nothing changes).
 A run of them means that the estimate is wrong, not the sensor: then all samples of the window count again, the arrival cost is forgotten,
-and where that does not help within three windows the observer starts again from the guess, then after twice as long, and so on. Samples that
-contradict the estimate by less than an outlier let the arrival cost be forgotten only after a window of them.
+and where that does not help within three windows the observer starts again from the guess, then after twice as long, and so on. Where no
+sample is as far off as an outlier, the arrival cost is forgotten only after a window of contradictions.
 """
 
 from __future__ import annotations
