@@ -28,7 +28,7 @@ from observers.numerics.finite import HUGE
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.sample import Instant, Window
 from observers.pseudospectral.window.condense import first_sample
-from observers.pseudospectral.window.gauss_newton import Constraints
+from observers.pseudospectral.window.quadratic_program import quadratic_program
 from observers.pseudospectral.window.trajectory import Trajectory
 
 LEAST_WEIGHT = 1e-30  # of an outlier
@@ -110,14 +110,20 @@ def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) ->
         return {}
     ns = len(scale)
     P, S = ca.SX.sym("P", ns * ns), ca.diag(ca.DM(scale))
-    inside = ca.solve(S, ca.solve(S, ca.reshape(P, ns, ns)).T)
-    # A direction without uncertainty gets a large weight, not an infinite one.
-    information = linear.inverse(inside + SMALLEST**2 * ca.SX.eye(ns))
-    scaled = ca.vec(ca.solve(S, ca.solve(S, (information + information.T) / 2).T))
+    scaled = ca.vec(ca.solve(S, ca.solve(S, _information(scale)(P)).T))
     return {
         "prior_mean": s.prior_mean,
         "prior_information": weight * ca.Function("information", [P], [scaled])(s.prior_covariance),
     }
+
+
+def _information(scale: np.ndarray) -> ca.Function:
+    """P (ns^2) -> P^-1 (ns x ns), in units of `scale`; a direction without uncertainty gets a large weight, not an infinite one."""
+    ns = len(scale)
+    P, S = ca.SX.sym("P", ns * ns), ca.diag(ca.DM(scale))
+    inside = ca.solve(S, ca.solve(S, ca.reshape(P, ns, ns)).T)
+    information = linear.inverse(inside + SMALLEST**2 * ca.SX.eye(ns))
+    return ca.Function("scaled_information", [P], [(information + information.T) / 2])
 
 
 def advance(method: Method, now: Instant, window: Window, at: Trajectory, solved: Any) -> dict[str, Any]:
@@ -147,17 +153,24 @@ def advance(method: Method, now: Instant, window: Window, at: Trajectory, solved
     mean = ca.if_else(forgotten, ca.if_else(ca.sumsqr(own) < HUGE, own, unknown), mean_next)
     P = ca.if_else(forgotten, ca.vec(ca.diag(q.initial_std**2)), P_next)
     return {
-        "prior_mean": ca.if_else(moves, _within(method.constraints, mean), s.prior_mean),
+        "prior_mean": ca.if_else(moves, _within(method, mean, P), s.prior_mean),
         "prior_covariance": ca.if_else(moves, P, s.prior_covariance),
     }
 
 
-def _within(constraints: Constraints, mean: Any) -> Any:
-    """The mean within the bounds of the states and unknown parameters."""
-    for bound, clip in ((constraints.lower, ca.fmax), (constraints.upper, ca.fmin)):
-        if np.isfinite(bound).any():
-            mean = ca.if_else(ca.DM(np.isfinite(bound)), clip(mean, ca.DM(np.nan_to_num(bound))), mean)
-    return mean
+def _within(method: Method, mean: Any, P: Any) -> Any:
+    """The likeliest mean within the bounds of the states and unknown parameters, by the covariance P (ns^2).
+
+    What is correlated with an entry that is brought to its bound moves with it: a cut of that entry alone would contradict every sample.
+    """
+    c, scale = method.constraints, method.problem.scale
+    if not (np.isfinite(c.lower).any() or np.isfinite(c.upper).any()):
+        return mean
+    ns, unit = len(scale), ca.DM(scale)
+    lower, upper = ((ca.DM(bound) - mean) / unit for bound in (c.lower, c.upper))
+    no_rows = [ca.DM.zeros(1, ns), ca.DM.zeros(1), ca.DM.zeros(1)]
+    off, _, _, ok = quadratic_program(ns, 1)(_information(scale)(P), ca.DM.zeros(ns), *no_rows, lower, upper, 1)
+    return ca.if_else(ok, mean + unit * off, mean)
 
 
 def _moved_on(method: Method) -> ca.Function:

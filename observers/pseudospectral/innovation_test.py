@@ -54,6 +54,7 @@ def state(method: Method) -> dict[str, int]:
     return {
         "tests": consistency.memory_size(method.problem.ny),
         "noise_factor": 1,
+        "fit_factor": 1,
         "learnt": 1,
         "doubt": 1,
         "trouble": 1,
@@ -65,7 +66,7 @@ def state(method: Method) -> dict[str, int]:
 
 def start() -> dict[str, Any]:
     """What of it does not start at 0."""
-    return {"noise_factor": ca.DM(1)}
+    return {"noise_factor": ca.DM(1), "fit_factor": ca.DM(1)}
 
 
 def patience(method: Method) -> int:
@@ -119,13 +120,32 @@ def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested
     return Tested(weight, outlier, inconsistent, forgets, begins, restart, quiet > 0, kept)
 
 
-def heavy(method: Method, now: Any, W: Any, cost: Any) -> Any:
-    """Whether the fit's residual, of the samples weighted by `W`, is larger than the measurement noise lets it be; `cost` is its square."""
+def unit(method: Method, s: Any) -> Any:
+    """What a covariance is in units of, by the state `s`: 1, or where nobody has said what the noise is, the factor learned so far."""
+    if not method.weighted or method.noise_given:
+        return 1
+    return ca.if_else(s.learnt >= LEARNT, s.noise_factor, 1)
+
+
+def unknown_noise(method: Method, s: Any) -> Any:
+    """Whether no deviation means anything yet."""
+    return s.learnt < LEARNT if method.weighted and not method.noise_given else 0
+
+
+def fit_tested(method: Method, now: Any, W: Any, cost: Any, inconsistent: Any) -> tuple[Any, Any]:
+    """Whether the fit's residual is larger than the measurement noise lets it be, and what `fit_factor` becomes.
+
+    `cost` is the square of the residual of the samples weighted by `W`. Where nobody has said what the measurement noise is, it is compared
+    with what it usually is: of the factor of the innovations a part is the process noise's.
+    """
     s, problem = now.s, method.problem
     due = ca.logic_and(s.k > method.samples, ca.logic_or(method.noise_given, s.learnt >= LEARNT))
     dof = ca.fmax(ca.sum1(W > 0) - (0 if method.arrival else len(problem.scale)), 1)
-    limit = consistency.chi_square_quantile(dof, now.q.false_alarm) * s.noise_factor * _doubtful(method, s)
-    return ca.logic_and(due, cost > limit * problem.segment.sample_time)
+    mean = cost / (dof * problem.segment.sample_time)
+    limit = consistency.chi_square_quantile(dof, now.q.false_alarm) / dof * s.fit_factor * _doubtful(method, s)
+    heavy = ca.logic_and(due, mean > limit)
+    counts = ca.logic_and(s.k > method.samples, mean < HUGE)
+    return heavy, _followed(method, s, s.fit_factor, mean, counts, ca.logic_or(inconsistent, heavy))
 
 
 def _doubtful(method: Method, s: Any) -> Any:
@@ -135,14 +155,18 @@ def _doubtful(method: Method, s: Any) -> Any:
 
 def _learned(method: Method, s: Any, alone: Any, valid: Any, inconsistent: Any) -> dict[str, Any]:
     """The factor of all noise, from the innovations' mean square `alone` in units of their covariance."""
-    if method.noise_given:
-        return {"noise_factor": s.noise_factor, "learnt": s.learnt}
     counts = ca.logic_and(s.k > method.samples, ca.logic_and(ca.sum1(valid) > 0, alone < HUGE))
-    early = s.learnt < LEARNT
+    factor = _followed(method, s, s.noise_factor, alone, counts, inconsistent)
+    return {"noise_factor": factor, "learnt": s.learnt + (0 if method.noise_given else counts)}
+
+
+def _followed(method: Method, s: Any, factor: Any, value: Any, counts: Any, inconsistent: Any) -> Any:
+    """A factor of the noise that follows the `value` of a sample that `counts`, slowly while the samples are inconsistent."""
+    if method.noise_given:
+        return factor
     gain = ca.if_else(inconsistent, 1 / SLOWLY, ca.fmax(1 / (s.learnt + 1), 1 / MEMORY))
-    clipped = ca.if_else(early, alone, ca.fmin(alone, 10 * s.noise_factor))
-    noise = ca.fmax(s.noise_factor + gain * (clipped - s.noise_factor), SMALLEST**2)
-    return {"noise_factor": ca.if_else(counts, noise, s.noise_factor), "learnt": s.learnt + counts}
+    clipped = ca.if_else(s.learnt < LEARNT, value, ca.fmin(value, 10 * factor))
+    return ca.if_else(counts, ca.fmax(factor + gain * (clipped - factor), SMALLEST**2), factor)
 
 
 def _normalised(method: Method) -> ca.Function:

@@ -88,7 +88,7 @@ def output(method: Method) -> ca.Function:
     shown = [s.x, s.z, s.theta, s.x_filtered, s.z_filtered, s.theta_filtered, verdict(s.status), s.cost, s.iterations]
     shown += [
         s.innovation,
-        covariance.standard_deviations(s.covariance),
+        covariance.standard_deviations(innovation_test.unit(method, s) * s.covariance),
         s.conditioning,
         s.deviation,
         s.node0_residual,

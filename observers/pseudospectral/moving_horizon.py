@@ -112,6 +112,7 @@ def _next(
         "restarts": s.restarts + (tested.begins if method.arrival else 0),
         **tested.state,
         "heavy": worth.heavy,
+        "fit_factor": worth.fit_factor,
         "quiet": ca.fmax(tested.state["quiet"], worth.heavy * innovation_test.patience(method)),
         "fit_noise": ca.DM(0, 1) if method.weighted else ca.if_else(solution.accepted, solution.fit_noise, s.fit_noise),
         "slack": solution.slack if method.constraints.any else ca.DM(0, 1),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -22,7 +23,7 @@ from observers.status import CODE, worst
 class Quality:
     """`status`, one of CODE; `covariance` (ns^2) of the estimate; `deviation` of its least certain entry and `node0`, the largest residual
     of (16) at a dropped node 0, in units of nominal values; `changed`, for how many samples yet the window holds some from before a change
-    of a model parameter.
+    of a model parameter; `heavy`, whether the fit's residual is too large, and `fit_factor`, what it usually is.
     """
 
     status: Any
@@ -31,6 +32,7 @@ class Quality:
     node0: Any
     changed: Any
     heavy: Any
+    fit_factor: Any
 
 
 def quality(
@@ -57,13 +59,16 @@ def quality(
     # Without a fit the estimate is the prediction, and so is its covariance.
     fitted = ca.logic_and(solution.accepted, ca.sumsqr(solution.covariance) < HUGE)
     covariance = ca.if_else(fitted, solution.covariance, s.covariance)
-    deviation = ca.norm_inf(standard_deviations(covariance, problem.scale))
-    rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
-    heavy = ca.logic_and(solution.accepted, innovation_test.heavy(method, now, window.W, solution.cost_after))
     tested = window.tested
+    learned = SimpleNamespace(**tested.state)
+    unit = innovation_test.unit(method, learned)
+    deviation = ca.norm_inf(standard_deviations(unit * covariance, problem.scale))
+    rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
+    fit_heavy, fit_factor = innovation_test.fit_tested(method, now, window.W, solution.cost_after, tested.inconsistent)
+    heavy = ca.logic_and(solution.accepted, fit_heavy)
     status = worst(
         (ca.logic_not(window.moving + (s.k == method.samples)), CODE.settling),
-        (tested.settling, CODE.settling),
+        (ca.logic_or(tested.settling, innovation_test.unknown_noise(method, learned)), CODE.settling),
         (tested.outlier, CODE.outlier),
         (ca.logic_or(tested.inconsistent, heavy), CODE.inconsistent),
         (solution.kept, CODE.prediction_kept),
@@ -78,7 +83,8 @@ def quality(
         (regularity < q.regularity_limit if model.algebraic else 0, CODE.singular),
         (ca.logic_not(ref.enough), CODE.propagated_guess),
     )
-    return Quality(status, covariance, deviation, kept(node0, s.node0_residual), changed, heavy)
+    fit_factor = ca.if_else(solution.accepted, fit_factor, s.fit_factor)
+    return Quality(status, covariance, deviation, kept(node0, s.node0_residual), changed, heavy, fit_factor)
 
 
 def _changed(method: Method, now: Instant) -> Any:

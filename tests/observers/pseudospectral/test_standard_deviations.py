@@ -10,7 +10,9 @@ from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
 from observers.status import CODE
+from reference_models.cell import CELL
 from reference_models.duffing import DUFFING
+from reference_models.plant import plant
 
 TS = 0.1
 NOISE = {"y1": 0.3, "y2": 0.5}
@@ -182,3 +184,27 @@ def test_over_a_hundred_runs_of_the_duffing_system_the_errors_are_as_large_as_it
     assert (covered > 0.93).all() and (covered < 0.97).all(), covered
     late = (ratios[:, -1] ** 2).sum(axis=0)  # a run's samples are correlated: one of each run
     assert ((late > chi2.ppf(0.001, 100)) & (late < chi2.ppf(0.999, 100) * (1 if given else 1.3))).all(), late
+
+
+def test_a_bound_that_the_past_meets_does_not_contradict_the_samples() -> None:
+    """A voltage of ten times the noise that is assumed fixes 0.9 soc - v1 to a thousandth, each of the two hardly.
+
+    A cut of soc alone to its bound of 1 takes v1 off to thousands of volts.
+    """
+    truth, current = Instance(plant(CELL)), np.repeat(np.random.default_rng(1).uniform(-2, 5, 40), 10)
+    run = Instance(pseudospectral(CELL, sample_time=1.0, guess={"soc": 0.6, "R0": 0.02}))
+    rng, off = np.random.default_rng(0), []
+    for k, i in enumerate(current):
+        truth.set("i", i)
+        run.set("i", i)
+        run.set("v", truth.get("v") + 0.002 * rng.normal())
+        truth.step(float(k), 1.0)
+        run.step(float(k), 1.0)
+        names = ("soc", "v1")
+        off.append([truth.get(f"x.{v}") - run.get(f"estimate.{v}") for v in names])
+        off[-1] += [run.get(f"diagnostics.std.{v}") for v in names]
+        assert abs(run.get("estimate.v1")) < 1.0 and run.get("diagnostics.solver_failures") == 0
+    late = np.array(off[50:])
+    assert np.abs(late[:, :2]).max() < 0.03
+    # Nobody has said what the noise is: the deviations are in the scale of what was seen.
+    assert np.mean(np.abs(late[:, :2]) < 2 * late[:, 2:]) > 0.8
