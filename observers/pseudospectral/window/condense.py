@@ -161,7 +161,7 @@ def first_sample(problem: LeastSquares) -> ca.Function:
     Xi = problem.segment.forced(times)
     forced = ca.mtimes(kind(ca.DM(Xi)), U[problem.inputs(0)]) if Xi.any() else kind(ca.DM.zeros(problem.nx))
     held = problem.segment.held(times)
-    if problem.n_noise:
+    if problem.noisy_states:
         forced = forced + ca.mtimes(kind(ca.DM(held)), noise[: len(problem.noisy_states)])
     x = affine(kind, Ph, xs, Ps, v, forced)
     S = sensitivity(kind, Ph, Ps, RG, sol, problem.direct(held))[:, 1:]

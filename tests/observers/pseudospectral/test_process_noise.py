@@ -204,12 +204,13 @@ def biased(as_disturbance=False):
 
 @pytest.mark.parametrize("as_disturbance", [False, True], ids=["parameter", "disturbance"])
 @pytest.mark.parametrize("L", [1, 5])
-def test_a_bias_that_wanders_is_the_kalman_filters_too(as_disturbance, L):
+@pytest.mark.parametrize("driven", [0.3, 0.0], ids=["with a state", "alone"])
+def test_a_bias_that_wanders_is_the_kalman_filters_too(as_disturbance, L, driven):
     """The sample at a segment's end sees the parameter after its jump."""
     F = np.zeros((3, 3))
     F[:2, :2] = [[0, 1], [-1, -0.2]]
     Q = np.zeros((3, 3))
-    Q[:2, :2] = held_noise(F[:2, :2], [0.0, 0.3])
+    Q[:2, :2] = held_noise(F[:2, :2], [0.0, driven])
     Q[2, 2] = 0.4**2 * TS
     model = sampled(TS)._replace(
         F=expm(F * TS), G0=np.zeros(3), G1=np.zeros(3), C=np.array([[1.0, 0, 1], [0, 1, 0]]), D=np.zeros(2)
@@ -224,7 +225,7 @@ def test_a_bias_that_wanders_is_the_kalman_filters_too(as_disturbance, L):
             segments=L,
             arrival_cost=True,
             measurement_noise=NOISE,
-            process_noise={"v": 0.3, "b": 0.4},
+            process_noise={"b": 0.4} | ({"v": driven} if driven else {}),
             initial_std={"p": 1.0, "v": 1.0, "b": 0.5},
         ),
         AS_IT_IS,
