@@ -1,9 +1,10 @@
 """Can an estimate be trusted? Twenty corruptions of the measurements, over all observers: python -m benchmarks.trust.
 
-For each observer: its largest error on clean data, in parts of the truth's rms, and how often it wasn't trusted there; of the estimates on
-corrupted streams, how many are wrong, and of these how many silently (`diagnostics.trusted`); streams on which wrong estimates were never
-flagged; samples until the estimate is right again once the stream is, median and largest, and streams on which it isn't at the end; runs
-that an error ended. `streams.verdicts` says what wrong is.
+For each observer: its largest error on clean data, in parts of the truth's rms, and how often it wasn't trusted there; of the estimates
+on corrupted streams, how many are wrong, and of these how many silently (`diagnostics.trusted`), but for those that another motion of the
+model explains within the noise, which have a column of their own; streams on which wrong estimates were never flagged; samples until the
+estimate is right again once the stream is, median and largest, and streams on which it isn't at the end; runs that an error ended.
+`streams.verdicts` says what wrong is.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from benchmarks.streams.streams import Streams
 from benchmarks.streams.verdicts import Clean, Tried, Verdict, judge, limits
 
 SEEDS = 3
-COLUMNS = ("clean", "alarms", "wrong", "silent", "unflagged", "recovery", "lost", "ended")
+COLUMNS = ("clean", "alarms", "wrong", "silent", "explained", "unflagged", "recovery", "lost", "ended")
 
 out = Console(width=None if sys.stdout.isatty() else 130)
 err = Console(stderr=True)
@@ -108,7 +109,7 @@ def _cells(row: Row) -> list[str]:
 
 
 def _judged(verdicts: Sequence[Verdict]) -> list[str]:
-    wrong, silent = (sum(getattr(v, name) for v in verdicts) for name in ("wrong", "silent"))
+    wrong, silent, explained = (sum(getattr(v, name) for v in verdicts) for name in ("wrong", "silent", "explained"))
     streams = [v for v in verdicts if v.wrong]
     never_flagged = [v for v in streams if not v.flagged]
     recovery = [v.recovery for v in verdicts if v.recovery is not None]
@@ -116,6 +117,7 @@ def _judged(verdicts: Sequence[Verdict]) -> list[str]:
     return [
         str(wrong),
         f"{silent / wrong:.1%}" if wrong else "-",
+        f"{explained / wrong:.1%}" if wrong else "-",
         f"{len(never_flagged)}/{len(streams)}",
         f"{np.median(recovery):.0f}, {max(recovery)}" if recovery else "-",
         str(len(lost)),

@@ -1,8 +1,9 @@
 """Runs an observer over streams and judges what it said of its estimates.
 
-An estimate is wrong where a state, an algebraic variable or an unknown parameter is farther from the truth than 5 % of the truth's rms and
-twice the largest error on clean data. It is silent where it is wrong and `diagnostics.trusted`. Estimates are those of the current time, as
-read after a step, against the truth of that time: what a fallback would have to go by.
+An estimate is wrong where a state, an algebraic variable or an unknown parameter is farther from the truth than 5 % of the truth's rms
+and twice the largest error on clean data. It is silent where it is wrong and `diagnostics.trusted`, but for those that are `explained`:
+another motion of the model fits the samples within their noise (`hindsight`), and nothing could tell. Estimates are those of the current
+time, as read after a step, against the truth of that time: what a fallback would have to go by.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.streams import hindsight
 from benchmarks.streams.corruptions import CLEAN, Corruption
 from benchmarks.streams.native import Sample
 from benchmarks.streams.streams import Stream, Streams
@@ -24,11 +26,11 @@ BRANCHES = ("x", "z")
 
 @dataclass(frozen=True)
 class Record:
-    """Errors of the estimates (n, estimated), whether each sample's was trusted (n,), and how the run ended: empty, or its error.
-
-    After an error the estimates are not finite, and not trusted.
+    """Estimates (n,) by name, their errors (n, estimated), whether each sample's was trusted (n,), and how the run ended: empty, or its
+    error. After an error the estimates are not finite, and not trusted.
     """
 
+    estimates: dict[str, np.ndarray]
     errors: np.ndarray
     trusted: np.ndarray
     ended: str
@@ -36,10 +38,10 @@ class Record:
 
 @dataclass(frozen=True)
 class Verdict:
-    """On one corrupted stream, from the corruption's beginning on: `wrong` and `silent` estimates, of `samples`.
+    """On one corrupted stream, from the corruption's beginning on: `wrong`, `silent` and `explained` estimates, of `samples`.
 
-    `flagged`: whether a wrong estimate was ever said to be none to trust. `recovery`: samples from the corruption's end until all estimates
-    are right again, None for a corruption that stays, `never` where they are not at the stream's end.
+    `flagged`: whether a wrong estimate was ever said to be none to trust, or all are explained. `recovery`: samples from the corruption's
+    end until all estimates are right again, None for a corruption that stays, `never` where they are not at the stream's end.
     """
 
     corruption: Corruption
@@ -47,6 +49,7 @@ class Verdict:
     samples: int
     wrong: int
     silent: int
+    explained: int
     flagged: bool
     recovery: int | None
     never: bool
@@ -94,7 +97,8 @@ def run(tried: Tried, stream: Stream) -> Record:
             break
         rows[k] = shown
     truth = np.column_stack([true[1:] for _, true in compared])
-    return Record(rows[:, columns] - truth, rows[:, trusted] > 0.5, ended)
+    estimates = {name: rows[:, column] for (name, _), column in zip(compared, columns, strict=True)}
+    return Record(estimates, rows[:, columns] - truth, rows[:, trusted] > 0.5, ended)
 
 
 def _compared(component: Component, stream: Stream) -> list[tuple[str, np.ndarray]]:
@@ -130,6 +134,9 @@ def judge(tried: Tried, stream: Stream, limit: np.ndarray) -> Verdict:
     begin = scenario.settled if corruption.plant == "mismatch" else scenario.during.start
     bad = ~(np.abs(record.errors[begin:]) <= limit).all(1)
     trusted = record.trusted[begin:]
+    silent = np.zeros(len(record.trusted), dtype=bool)
+    silent[begin:] = bad & trusted
+    known = hindsight.explained(stream, record.estimates, silent)
     last = np.flatnonzero(bad)[-1] + begin if bad.any() else -1
     never = bool(corruption.ends and bad[-1])
     return Verdict(
@@ -137,8 +144,9 @@ def judge(tried: Tried, stream: Stream, limit: np.ndarray) -> Verdict:
         seed=stream.seed,
         samples=len(bad),
         wrong=int(bad.sum()),
-        silent=int((bad & trusted).sum()),
-        flagged=bool((bad & ~trusted).any()),
+        silent=int((silent & ~known).sum()),
+        explained=int(known.sum()),
+        flagged=bool((bad & ~trusted).any() or (bad == known[begin:]).all()),
         recovery=max(last + 1 - scenario.during.stop, 0) if corruption.ends and not never else None,
         never=never,
         ended=record.ended,

@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.streams.catalogue import DUFFING_SCENARIO, ENTRIES, MODELS
 from benchmarks.streams.corruptions import CLEAN, CORRUPTIONS, Corruption
+from benchmarks.streams.hindsight import explained
 from benchmarks.streams.native import sampled
 from benchmarks.streams.streams import Streams
 from benchmarks.streams.verdicts import Tried, judge, limits, run
@@ -63,6 +64,17 @@ def test_an_observer_that_is_right_is_never_wrong_and_one_that_is_lied_to_is(str
     swapped = judge(tried, streams.stream(next(c for c in CORRUPTIONS if c.name == "sign"), 0), limit)
     assert swapped.wrong >= 50
     assert swapped.recovery is not None and swapped.recovery > 0
+
+
+@pytest.mark.parametrize(("name", "expected"), [("clean", True), ("sign", True), ("noise", False), ("clipped", False)])
+def test_hindsight_explains_what_another_motion_does_and_nothing_else(streams: Streams, name: str, expected: bool) -> None:
+    """The Duffing system upside down is one too; noise of five times the deviation is no motion."""
+    stream = streams.stream(next(c for c in (CLEAN, *CORRUPTIONS) if c.name == name), 0)
+    side = -1.0 if name == "sign" else 1.0
+    guesses = {v: side * stream.truth[f"x.{v}"][1:] for v in ("x1", "x2", "theta")}
+    asked = np.zeros(300, bool)
+    asked[[145, 160]] = True  # 20 samples within what is corrupted
+    np.testing.assert_array_equal(explained(stream, guesses, asked)[asked], expected)
 
 
 @pytest.mark.parametrize("case", MODELS, ids=lambda case: case.model.name)
