@@ -12,7 +12,7 @@ from observers import ports
 from observers.bounds import conditioned, projected
 from observers.model import Model, Variable
 from observers.numerics import linear
-from observers.numerics.finite import HUGE, kept
+from observers.numerics.finite import HUGE, is_partial, kept
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
 from observers.status import CODE
@@ -20,6 +20,8 @@ from observers.status import shown as verdict_shown
 from observers.vigilance import SETTINGS, Watch, status_of, verdict
 
 NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
+ROUNDING = 1e-14  # of an output: the same of one far from 0
+NEARER = (1 / 8, 1 / 64)  # of the way from the mean to a sigma point
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ def jump(v: Parts) -> ca.Function:
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
     mean, root = v.mean, _root(v.points, weights, ca.diag(q.noise * ca.sqrt(q.sample_time)))
     drawn = v.drawn(mean, root)
-    seen = ca.horzcat(*[v.at(measure, drawn[:, i], v.t) for i in range(n_points)])
+    seen = _seen(v, measure, mean, drawn)
     if any(output.wrap for output in v.model.outputs):  # on the circle, around the prediction
         near = seen[:, 0]
         seen = ca.horzcat(*[near + ports.wrapped(v.model, seen[:, i] - near) for i in range(n_points)])
@@ -178,7 +180,8 @@ def jump(v: Parts) -> ca.Function:
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
     dy, heard = ca.diag(ca.SX(acting)) @ off, ca.if_else(acting, innovation, 0)
-    K, root_after, squared = _gain(dx, dy, weights, ca.diag(ca.if_else(acting, q.sensor, 1)), acting, heard)
+    noise_root = ca.diag(ca.if_else(acting, q.sensor, 1))
+    K, root_after, squared = _gain(dx, dy, weights, noise_root, acting, heard, ROUNDING * ca.fabs(expected))
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     corrected = conditioned(v.variables, mean + ca.mtimes(K, heard), ca.mtimes(root_after, root_after.T))
     redrawn = v.drawn(corrected, root_after)
@@ -224,15 +227,38 @@ def output(v: Parts) -> ca.Function:
     return ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)])
 
 
-def _gain(dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any, innovation: Any) -> tuple[Any, Any, Any]:
+def _seen(v: Parts, measure: ca.Function, mean: Any, drawn: Any) -> Any:
+    """What is measured at the sigma points (ny x n_points).
+
+    Where some of them lie outside the domain of the output, as log(x) of a wide first covariance does, the slopes are taken nearer to the
+    mean and continued from there.
+    """
+    seen = ca.horzcat(*[v.at(measure, drawn[:, i], v.t) for i in range(v.n_points)])
+    if not is_partial(v.model.equations.output):
+        return seen
+    center = seen[:, 0]
+    found = seen
+    for nearer in NEARER:
+        close = [v.at(measure, mean + nearer * (drawn[:, i] - mean), v.t) for i in range(1, v.n_points)]
+        continued = ca.horzcat(center, *[center + (point - center) / nearer for point in close])
+        found = ca.if_else(ca.sumsqr(found) < HUGE, found, continued)
+    return found
+
+
+def _gain(
+    dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any, innovation: Any, rounding: Any
+) -> tuple[Any, Any, Any]:
     """The gain K (n x ny), the square root (n x n) of the covariance after the sample, and nu' S^-1 nu of the innovation nu (ny).
 
-    An output that the others leave no uncertainty in, such as the second of two perfect sensors, has nothing to add: its part of K is 0.
+    An output that the others leave no uncertainty in but `rounding` (ny), such as the second of two perfect sensors, has nothing to add:
+    its part of K is 0.
     """
     rooted = ca.diag(ca.sqrt(weights))
     Sy = linear.square_root(ca.horzcat(ca.mtimes(dy, rooted), noise_root))
     for i in range(Sy.shape[0]):
-        Sy[i, i] = ca.if_else(ca.fabs(Sy[i, i]) <= NOTHING * ca.norm_2(Sy[i, : i + 1]), HUGE, Sy[i, i])
+        Sy[i, i] = ca.if_else(
+            ca.fabs(Sy[i, i]) <= ca.fmax(NOTHING * ca.norm_2(Sy[i, : i + 1]), rounding[i]), HUGE, Sy[i, i]
+        )
     Pxy = ca.mtimes([dx, ca.diag(weights), dy.T])
     half = linear.right_solve(Sy.T, Pxy)  # Pxy = K Sy Sy': upper triangle Sy' first, then Sy by the transposed problem
     K = linear.left_transposed(Sy, half)

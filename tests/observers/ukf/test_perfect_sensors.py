@@ -51,6 +51,33 @@ def test_two_perfect_sensors_of_one_state_agree_with_it_and_give_the_velocity() 
     assert run.get("diagnostics.solver_failures") == 0
 
 
+@pytest.mark.parametrize("scale", [1.0, 10.0, 1e4, 1e7])
+@pytest.mark.parametrize("part", [2.0, 0.3, -7.1])
+def test_a_perfect_sensor_that_the_others_determine_adds_nothing_however_far_from_zero(
+    scale: float, part: float
+) -> None:
+    """Rounding of an output grows with the output, what is left of its deviation does not."""
+    oscillator = Model(
+        name="oscillator",
+        states=[Variable("p"), Variable("v")],
+        outputs=[Variable("y1"), Variable("y2"), Variable("y3")],
+        ode=lambda x, u, p, t: [x.v, -x.p],
+        output=lambda x, u, p, t: [x.p, x.v, x.p + part * x.v],
+    )
+    perfect = {"y1": 0, "y2": 0, "y3": 0}
+    run = Instance(
+        ukf(oscillator, sample_time=TS, process_noise={"p": 0.01, "v": 0.01}, measurement_noise=perfect),
+        {"guess.p": 7.0},
+    )
+    for k in range(60):
+        p, v = scale * np.cos(k * TS + 0.3), -scale * np.sin(k * TS + 0.3)
+        for name, value in (("y1", p), ("y2", v), ("y3", p + part * v)):
+            run.set(name, value)
+        run.step(k * TS, TS)
+        assert_allclose([run.get("filtered.p"), run.get("filtered.v")], [p, v], rtol=0, atol=2e-13 * scale)
+    assert run.get("diagnostics.solver_failures") == 0
+
+
 @pytest.mark.parametrize(
     ("noise", "tolerance"),
     [((1e-6, 1e-6), 1e-13), ((1e-9, 1e-3), 1e-13), ((1e-9, 1e-9), 1e-11), ((1e-12, 1e-2), 1e-13), ((1e-12, 1e-12), 1e-5)],

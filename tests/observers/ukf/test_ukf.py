@@ -1,5 +1,6 @@
 """The unscented Kalman filter against the Kalman filter, its own covariance, and the paper's comparison."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -158,3 +159,24 @@ def test_a_tuning_of_something_unknown_is_refused_by_name() -> None:
         ukf(DUFFING, sample_time=0.1, measurement_noise={"u": 1.0})
     with pytest.raises(ValueError, match="sample_time = 0 must be at least"):
         ukf(DUFFING, sample_time=0.0)
+
+
+@pytest.mark.parametrize("least", [0.0, -math.inf], ids=["bounded", "unbounded"])
+@pytest.mark.parametrize("output", ["log", "sqrt"])
+def test_a_first_covariance_wider_than_the_outputs_domain_loses_no_sample(output: str, least: float) -> None:
+    """With everything at its default, sigma points of 0.8 +- 1.7 lie where a logarithm is none."""
+    h, value = {"log": (ca.log, math.log), "sqrt": (ca.sqrt, math.sqrt)}[output]
+    sensed = Model(
+        name="sensed",
+        states=[Variable("c", start=0.8, min=least)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [0.1 - 0.3 * x.c],
+        output=lambda x, u, p, t: [h(x.c)],
+    )
+    run, c = Instance(ukf(sensed, sample_time=0.1, measurement_noise={"y": 0.02})), 0.5
+    for k in range(200):
+        run.set("y", value(c))
+        run.step(0.1 * k, 0.1)
+        c = 1 / 3 + (c - 1 / 3) * math.exp(-0.03)
+    assert run.get("diagnostics.solver_failures") == 0 and run.get("diagnostics.trusted") == 1
+    assert abs(run.get("estimate.c") - c) < 1e-4
