@@ -217,8 +217,12 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, si
 {
     Instance *self = c;
     if (!allowed(self, "fmi2SerializedFMUstateSize", ANY_STATE) ||
-        !is_ours(self, "fmi2SerializedFMUstateSize", FMUstate) || !size)
+        !is_ours(self, "fmi2SerializedFMUstateSize", FMUstate))
         return fmi2Error;
+    if (!size) {
+        report(self, fmi2Error, LOG_ERROR, "fmi2SerializedFMUstateSize: the place for the size is a null pointer.");
+        return fmi2Error;
+    }
     *size = state_bytes();
     return fmi2OK;
 }

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -578,6 +579,43 @@ def test_null_pointers_of_status_queries_are_named(slave: Make) -> None:
         assert [text for _, _, text in fmu.messages] == [f"{function}: the place for the value is a null pointer."]
     for function in ("fmi2GetStatus", "fmi2GetIntegerStatus", "fmi2GetStringStatus"):
         assert getattr(library, function)(handle, 0, None) == 2
+
+
+def test_every_other_null_pointer_is_refused_with_one_message(slave: Make) -> None:
+    fmu = slave("sampled_toy").initialize()
+    library, handle = fmu.fmu.dll, ctypes.c_void_p(fmu.fmu.component)
+    content = fmu.state()
+    state, one, size = ctypes.c_void_p(), ctypes.c_size_t(1), ctypes.c_size_t(len(content))
+    assert library.fmi2GetFMUstate(handle, ctypes.byref(state)) == 0
+    reference, space = (ctypes.c_uint * 1)(0), ctypes.create_string_buffer(len(content))
+    order, nobody = (ctypes.c_int * 1)(1), (ctypes.c_char_p * 1)(None)
+    accesses = [f"fmi2{verb}{kind}" for verb in ("Get", "Set") for kind in ("Real", "Integer", "Boolean", "String")]
+    calls: list[tuple[str, tuple[Any, ...]]] = [
+        *((name, (None, one, space)) for name in accesses),
+        *((name, (reference, one, None)) for name in accesses),
+        ("fmi2SetRealInputDerivatives", (None, one, order, space)),
+        ("fmi2SetRealInputDerivatives", (reference, one, None, space)),
+        ("fmi2SetRealInputDerivatives", (reference, one, order, None)),
+        ("fmi2GetFMUstate", (None,)),
+        ("fmi2SetFMUstate", (None,)),
+        ("fmi2SerializedFMUstateSize", (state, None)),
+        ("fmi2SerializedFMUstateSize", (None, ctypes.byref(ctypes.c_size_t()))),
+        ("fmi2SerializeFMUstate", (state, None, size)),
+        ("fmi2SerializeFMUstate", (None, space, size)),
+        ("fmi2DeSerializeFMUstate", (None, size, ctypes.byref(ctypes.c_void_p()))),
+        ("fmi2DeSerializeFMUstate", (content, size, None)),
+        ("fmi2SetDebugLogging", (1, one, None)),
+        ("fmi2SetDebugLogging", (1, one, nobody)),
+    ]
+    for name, arguments in calls:
+        fmu.messages.clear()
+        function = library[name]  # unlike the attribute, without the types that fmpy declared
+        assert function(handle, *arguments) == 3, (name, arguments)
+        told = [(status, category, text.partition(":")[0]) for status, category, text in fmu.messages]
+        assert told == [(3, "logStatusError", name)], (name, arguments)
+    assert library["fmi2FreeFMUstate"](handle, None) == 0  # the standard: ignored
+    assert library.fmi2FreeFMUstate(handle, ctypes.byref(state)) == 0
+    assert fmu.state() == content
 
 
 def test_what_a_step_takes_is_counted_from_where_the_run_is(slave: Make) -> None:
