@@ -102,8 +102,10 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, si
 {
     Instance *self = c;
     Header header;
-    if (!self || !is_ours(self, "fmi2SerializedFMUstateSize", FMUstate, &header) || !size)
+    if (!self || !is_ours(self, "fmi2SerializedFMUstateSize", FMUstate, &header))
         return fmi2Error;
+    if (!size)
+        return refuse(self, "fmi2SerializedFMUstateSize", "the place for the size is a null pointer");
     *size = sizeof header + (size_t)header.bytes;
     return fmi2OK;
 }
