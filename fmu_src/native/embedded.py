@@ -92,14 +92,16 @@ def _group(name: str, group: str, ports: Sequence[Port]) -> str:
 
 
 def _places(name: str, group: str, ports: Sequence[Port]) -> list[str]:
-    """Identifiers made of the variables' names; where two become one, a number tells them apart."""
+    """Identifiers made of the variables' names; where two become one, or one that of the start values, a number tells them apart."""
+    taken = {f"{name}_{group}_start"}
     made: list[str] = []
     for port in ports:
         plain = f"{name}_{group}_" + re.sub(r"\W+", "_", port.name).strip("_")
         number = 2
         place = plain
-        while place in made:
+        while place in taken:
             place, number = f"{plain}_{number}", number + 1
+        taken.add(place)
         made.append(place)
     return made
 

@@ -5,21 +5,24 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
 from lxml import etree
 
 from fmu_src.native.embedded import embedded
-from observers.component import Component
+from fmu_src.native.sources import fixed_sources, functions, prefix, tables
+from observers.component import Component, Port
 from observers.instance import Instance
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
 from test_sources import call, compiler, sources
-from toys import feedthrough_toy, sampled_toy
+from toys import double_toy, feedthrough_toy, sampled_toy
 
 Path_of = Callable[[str], Path]
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off")
@@ -104,6 +107,67 @@ def test_the_header_gives_each_variable_its_place_and_start(unpacked: Path_of) -
     assert "sampled_toy_p_start[] = {1.0, 0.1, 0.33, 0.5, 1.0, 1.0};" in header
     assert "#define sampled_toy_MAX_STEP 0.03\n" in header
     assert "feedthrough_toy_MAX_STEP DBL_MAX" in embedded(feedthrough_toy())["embedded/model.h"].decode()
+
+
+# What a variable may be called: as the header calls its own, as another becomes in C, a word of C, with every kind of index.
+NAMES = (
+    "start",
+    "start_2",
+    "x.start",
+    "x_start",
+    "x.start_2",
+    "x_start[1]",
+    "x_start_1",
+    "N_P",
+    "MAX_STEP",
+    "int",
+    "p",
+)
+
+
+def with_names(group: str) -> Component:
+    """A component with a variable of each of NAMES in this group and one in the others."""
+    ports = {"inputs": [Port("i")], "parameters": [Port("k")], "outputs": [Port("o")]}
+    ports[group] = [Port(name) for name in NAMES]
+    n_u, n_p, n_y = map(len, ports.values())
+    z, u, p, t, h = ca.SX(0, 1), ca.SX.sym("u", n_u), ca.SX.sym("p", n_p), ca.SX.sym("t"), ca.SX.sym("h")
+    return Component(
+        name="named",
+        description="Any names",
+        start=ca.Function("start", [p, t], [z]),
+        flow=ca.Function("flow", [z, u, p, t, h], [z]),
+        output=ca.Function("output", [z, u, p, t], [ca.repmat(ca.sum1(u) + ca.sum1(p) + t, n_y)]),
+        **{name: tuple(of_group) for name, of_group in ports.items()},
+    )
+
+
+@pytest.mark.parametrize("group", ["inputs", "parameters", "outputs"])
+def test_variables_of_any_names_have_places_of_their_own_and_compile(group: str, tmp_path: Path) -> None:
+    write(with_names(group), tmp_path)
+    header = (tmp_path / "sources" / "embedded" / "model.h").read_text()
+    letter = {"inputs": "u", "parameters": "p", "outputs": "y"}[group]
+    places = re.findall(rf"^    named_{letter}_(\w+), /\* (\S+) ", header, re.M)
+    assert tuple(name for _, name in places) == NAMES
+    assert len({place for place, _ in places} | {"start"}) == len(places) + 1
+    call([example(tmp_path, tmp_path / "example")], tmp_path)
+
+
+def write(component: Component, folder: Path) -> None:
+    """The component's sources, without an FMU around them."""
+    parts = fixed_sources() | prefix(component) | functions(component) | tables(component, "{guid}")
+    for name, content in (parts | embedded(component)).items():
+        path = folder / "sources" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+@pytest.mark.parametrize("name", ["start", "output", "casadi", "component", "int", "fmi2", "MODEL", "main"])
+def test_a_model_of_any_name_compiles(name: str, tmp_path: Path) -> None:
+    """Names that stand in the sources for something else."""
+    write(replace(double_toy(), name=name), tmp_path)
+    call([example(tmp_path, tmp_path / "example")], tmp_path)
+    library = [*compiler("gcc"), *STRICT, "-fPIC", "-shared", *sources(tmp_path), "-lm", "-o", tmp_path / "library.so"]
+    call(library, tmp_path)
 
 
 def measured(component: Component, samples: int) -> list[float]:
