@@ -1,7 +1,9 @@
 """What bounds a deadline: instructions of a step, median and worst, under noise and under outliers: python -m benchmarks.worst_case.
 
-The observers and streams are those of `benchmarks.trust`; each FMU is built and driven natively, and callgrind counts each fmi2DoStep by
-itself. Counts are per step of one sample; a few percent depend on the processor, for which glibc picks its cosine.
+Of every observer of the catalogue, and three more that `benchmarks.trust` judges. Each FMU is built and driven natively on the streams of
+`benchmarks.streams.catalogue`; callgrind counts each fmi2DoStep by itself. Inputs are held over a sample, in the plant too. Counts are per
+step of one sample; a few percent depend on the processor, for which glibc picks its cosine. The time is that of the step with the most
+instructions, driven from Python without callgrind: processor time, the least of three runs.
 """
 
 from __future__ import annotations
@@ -9,54 +11,73 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from time import thread_time_ns
 from typing import Annotated
 
 import numpy as np
 import typer
+from fmpy.fmi2 import fmi2Warning
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from benchmarks import callgrind
 from benchmarks.native import Experiment, Unpacked, build_driver, command, execute, unpack
-from benchmarks.streams.catalogue import PAPERS, Entry
+from benchmarks.streams.catalogue import CATALOGUE, Entry
 from benchmarks.streams.corruptions import CLEAN, CORRUPTIONS
 from benchmarks.streams.streams import Stream, Streams
+from cosim.master.slave import Slave
 from fmu_src import export
+from observers.component import Component
 
 STEP = "fmi2DoStep"
+LIMIT = "tuning.iteration_limit"
 STREAMS = (CLEAN, *(c for c in CORRUPTIONS if c.name in ("outliers", "times_1000")))
+RUNS = 3  # of which the least time of a step counts
 _SUMMARY = re.compile(r"^summary: (\d+)", re.MULTILINE)
 
-out = Console(width=None if sys.stdout.isatty() else 130)
 err = Console(stderr=True)
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Instructions of each step (samples,) on a stream, the first sample left out."""
+    """On a stream: the instructions of each step (samples - 1,), the first left out; its `settled` samples; `ms`, the time of the worst."""
 
     steps: np.ndarray
+    settled: int
+    ms: float
 
     @property
     def median(self) -> float:
-        return float(np.median(self.steps))
+        """Of the steps that follow on the settled samples: before, a window waits for its samples."""
+        return float(np.median(self.steps[self.settled - 1 :]))
 
     @property
     def worst(self) -> float:
         return float(np.max(self.steps))
 
 
-def cost(driver: Path, fmu: Unpacked, stream: Stream, parameters: Mapping[str, float]) -> Cost:
+def with_limit(component: Component, limit: int) -> Component:
+    """The component with that iteration limit, or its largest; one without a limit as it is."""
+    ports = (replace(p, start=min(limit, p.max)) if p.name == LIMIT else p for p in component.parameters)
+    return replace(component, parameters=tuple(ports))
+
+
+def limit_of(component: Component) -> int | None:
+    """The component's iteration limit; None where it has none."""
+    return next((round(p.start) for p in component.parameters if p.name == LIMIT), None)
+
+
+def cost(driver: Path, fmu: Unpacked, entry: Entry, stream: Stream) -> Cost:
     """The cost of the FMU's steps on the stream."""
-    names = tuple([*stream.measured, *stream.inputs])
-    rows = np.column_stack([*stream.measured.values(), *stream.inputs.values()])
-    first = fmu.description.modelVariables[0].name
-    estimates = [v.name for v in fmu.description.modelVariables if v.name.startswith("estimate.")][:1] or [first]
-    experiment = Experiment(rows, stream.scenario.sample_time, names, estimates, parameters)
+    known = {v.name for v in fmu.description.modelVariables if v.causality == "input"}
+    inputs = {name: values for name, values in stream.inputs.items() if name in known}  # not the unknown disturbances
+    names = tuple([*stream.measured, *inputs])
+    rows = np.column_stack([*stream.measured.values(), *inputs.values()])
+    first = next(v.name for v in fmu.description.modelVariables if v.name.startswith("estimate."))
+    experiment = Experiment(rows, stream.scenario.sample_time, names, [first], entry.parameters)
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch)
         run = command(driver, fmu, fmu.library, experiment, 1, directory)
@@ -65,46 +86,90 @@ def cost(driver: Path, fmu: Unpacked, stream: Stream, parameters: Mapping[str, f
         dumps = sorted(directory.glob("step.*"), key=lambda path: int(path.suffix[1:]))
         found = [_SUMMARY.search(path.read_text()) for path in dumps]
     steps = np.array([int(match[1]) for match in found if match])
-    return Cost(steps[steps > 0][1:])
+    steps = steps[steps > 0]
+    worst = 1 + int(np.argmax(steps[1:]))
+    until = replace(experiment, samples=rows[: worst + 1])
+    ms = min(_last_step(fmu, until) for _ in range(RUNS)) / 1e6
+    return Cost(steps[1:], stream.scenario.settled, ms)
 
 
-def costs(driver: Path, entry: Entry, scratch: Path) -> list[Cost]:
+def _last_step(fmu: Unpacked, experiment: Experiment) -> int:
+    """Nanoseconds of the processor in the last of the steps."""
+    slave = Slave("driven", fmu.description, fmu.directory, [], 0.0)
+    try:
+        for name, value in experiment.start.items():
+            slave.set(fmu.variable(name), value, 0.0)
+        slave.call(0.0, lambda f: f.setupExperiment(startTime=0.0))
+        slave.call(0.0, lambda f: f.enterInitializationMode())
+        slave.call(0.0, lambda f: f.exitInitializationMode())
+        samples = np.ascontiguousarray(experiment.samples, dtype=float)
+        references = np.array(fmu.references(experiment.inputs), dtype=np.uint32)
+        set_real, h, took = slave.access("Set", "Real"), experiment.step, 0
+        for k, row in enumerate(samples):
+            status = set_real(slave.component, references.ctypes.data, len(references), row.ctypes.data)
+            begin = thread_time_ns()
+            status = max(status, slave.do_step(slave.component, k * h, h, 1))
+            took = thread_time_ns() - begin
+            if status > fmi2Warning:
+                raise slave.failure("set or doStep", status, k * h)
+        return took
+    finally:
+        slave.free()
+
+
+def costs(driver: Path, entry: Entry, component: Component, scratch: Path) -> list[Cost]:
     """Of the observer, on each of STREAMS."""
-    component, streams = entry.make(), Streams(entry.scenario())
+    streams = Streams(replace(entry.scenario(), linear=False))
     fmu = unpack(export(component, scratch), scratch / component.name)
-    return [cost(driver, fmu, streams.stream(corruption, 0), entry.parameters) for corruption in STREAMS]
+    return [cost(driver, fmu, entry, streams.stream(corruption, 0)) for corruption in STREAMS]
+
+
+def rows(entries: dict[str, Entry], limit: int | None, bar: Progress) -> Iterator[list[str]]:
+    """The cells of each observer; with a `limit`, of those that have one."""
+    task = bar.add_task("", total=len(entries))
+    with tempfile.TemporaryDirectory() as scratch:
+        driver = build_driver(Path(scratch))
+        for name, entry in entries.items():
+            bar.update(task, description=name)
+            component = entry.make()
+            bar.advance(task)
+            if limit is not None:
+                if limit_of(component) is None:
+                    continue
+                component = with_limit(component, limit)
+            found = costs(driver, entry, component, Path(scratch))
+            worst = max(found, key=lambda c: c.worst)
+            yield [
+                f"`{name}`",
+                *(f"{value / 1e3:.1f}" for c in found for value in (c.median, c.worst)),
+                f"{worst.worst / found[0].median:.1f}",
+                f"{worst.ms:.2g} of {1e3 * entry.scenario().sample_time:.3g}",
+                f"{limit_of(component) or '-'}",
+            ]
 
 
 def main(
     observer: Annotated[list[str] | None, typer.Option(help="only observers whose name contains this")] = None,
+    iteration_limit: Annotated[
+        int | None, typer.Option(min=1, help=f"{LIMIT} of the observers that have it; only these are run")
+    ] = None,
 ) -> None:
     """Print the table: thousands of instructions of a step."""
     if not callgrind.is_installed():
         err.print("error: valgrind is not installed: it counts the instructions", style="red")
         sys.exit(1)
-    entries = {name: e for name, e in PAPERS.items() if not observer or any(part in name for part in observer)}
-    table = Table(box=None, pad_edge=False)
-    table.add_column("thousands of instructions a step", no_wrap=True)
-    for corruption in STREAMS:
-        name = "noise" if corruption is CLEAN else corruption.name
-        for column in (f"{name}: median", "worst", "ratio"):
-            table.add_column(column, justify="right")
+    entries = {name: e for name, e in CATALOGUE.items() if not observer or any(part in name for part in observer)}
+    if not entries:
+        err.print(f"error: no observer's name contains {', '.join(observer or ())}; known: {', '.join(CATALOGUE)}")
+        sys.exit(2)
+    noise, *others = ("noise" if corruption is CLEAN else corruption.name.replace("_", " ") for corruption in STREAMS)
+    heads = [f"{noise}: median", "worst", *(text for name in others for text in (f"{name}: median", "worst"))]
+    heads = ["FMU", *heads, "ratio", "ms at worst", f"`{LIMIT}`"]
+    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}", flush=True)
     columns = (TextColumn("{task.description:<42}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
-    with (
-        tempfile.TemporaryDirectory() as name,
-        Progress(*columns, TimeElapsedColumn(), console=err, transient=True, disable=not err.is_terminal) as bar,
-    ):
-        task = bar.add_task("", total=len(entries))
-        driver = build_driver(Path(name))
-        for label, entry in entries.items():
-            bar.update(task, description=label)
-            cells = [
-                (f"{c.median / 1e3:.1f}", f"{c.worst / 1e3:.1f}", f"{c.worst / c.median:.1f}")
-                for c in costs(driver, entry, Path(name))
-            ]
-            table.add_row(label, *(text for row in cells for text in row))
-            bar.advance(task)
-    out.print(table)
+    with Progress(*columns, TimeElapsedColumn(), console=err, transient=True, disable=not err.is_terminal) as bar:
+        for cells in rows(entries, iteration_limit, bar):
+            print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

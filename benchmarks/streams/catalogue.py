@@ -89,6 +89,17 @@ SILVERBOX_SCENARIO = _scenario(
     jump=("k1", 0.8),
     mismatch=("c", 1.6),
 )
+MOTOR_SCENARIO = _scenario(
+    "motor",
+    _made["motor"],
+    1e-3,
+    3000,
+    noise={"y1": 1e-4, "y2": 1e-4},
+    settled=1150,
+    inputs=lambda seed, samples: _waves(1e-3, samples, u=lambda t: 2 + 2 * np.sin(2 * t)),
+    jump=("B1", 1.2),
+    mismatch=("A2", 1.6),
+)
 PAPERS = {
     **{
         name: Entry(FMUS[name][0], DUFFING_SCENARIO)
@@ -151,17 +162,7 @@ PAPERS = {
     ),
     "motor_canonical_dae": Entry(
         FMUS["motor_canonical_dae"][0],
-        _scenario(
-            "motor",
-            _made["motor"],
-            1e-3,
-            3000,
-            noise={"y1": 1e-4, "y2": 1e-4},
-            settled=1150,
-            inputs=lambda seed, samples: _waves(1e-3, samples, u=lambda t: 2 + 2 * np.sin(2 * t)),
-            jump=("B1", 1.2),
-            mismatch=("A2", 1.6),
-        ),
+        MOTOR_SCENARIO,
         # Poles at which the hidden field is found, and the detector armed, before the streams are corrupted.
         {
             **{f"tuning.pole[{i}]": -20.0 for i in (1, 2, 3)},
@@ -193,6 +194,56 @@ PAPERS = {
     ),
     **{name: Entry(FMUS[name][0], SILVERBOX_SCENARIO) for name in ("silverbox_pseudospectral_short", "silverbox_ukf")},
 }
+
+
+def _plant(name: str, sample_time: float, samples: int, settled: int, **more: Any) -> Callable[[], Scenario]:
+    """The scenario of a plant of the catalogue."""
+    return _scenario(name, cache(FMUS[name][0]), sample_time, samples, settled=settled, **more)
+
+
+def _uniform(bound: float) -> dict[str, Any]:
+    """The paper's noise, of the plant's own sensor."""
+    return {"noise": {"y": 0.0}, "start": {"sensor.noise_bound": bound, "sensor.sample_time": 0.1}}
+
+
+def _sines(sample_time: float, **more: Callable[[np.ndarray], np.ndarray]) -> Callable[[int, int], Values]:
+    return lambda seed, samples: _waves(sample_time, samples, u=np.sin, mu=lambda t: 0.1 * np.sin(t), **more)
+
+
+# What is left of the catalogue: other structures of observers that are above, whose trust those stand for.
+OTHERS = {
+    "duffing_pseudospectral_3a": _plant("duffing", 0.01, 1000, 200, noise={"y": 1e-3}),
+    "duffing_pseudospectral_3b": _plant("duffing", 0.5, 150, 30, noise={"y": 1e-3}),
+    "duffing_pseudospectral_5": _plant("duffing", 0.1, 300, 100, **_uniform(0.1)),
+    **{
+        name: _plant("duffing", 0.1, 300, 100, **_uniform(1.0))
+        for name in ("duffing_known_pseudospectral", "duffing_known_pseudospectral_tube")
+    },
+    "duffing_pseudospectral_loop": DUFFING_SCENARIO,
+    # What they make of their estimate acts on no plant here: the measurements are those of the loop that the true state closes.
+    **{
+        f"duffing_{method}_controller": _plant("duffing_with_controller", 0.1, 300, 60, noise={"y": 0.006})
+        for method in ("pseudospectral", "ukf")
+    },
+    "motor_canonical_dae_controller": _plant(
+        "motor_with_controller", 1e-3, 3000, 1150, noise={"y1": 0.006, "y2": 0.006}
+    ),
+    **{f"motor_canonical_dae_{form}": MOTOR_SCENARIO for form in ("regional", "bdf")},
+    "modulated_canonical_dae": _plant(
+        "modulated", 0.01, 2000, 500, noise={"y": 1e-3}, inputs=lambda seed, n: _waves(0.01, n, u=np.sin)
+    ),
+    "double_integrator_canonical_dae": _plant("double_integrator", 0.01, 500, 150, noise={"y": 1e-3}),
+    "pushed_mass_canonical_dae": _plant("pushed_mass", 0.01, 500, 150, noise={"y1": 1e-3, "y2": 1e-3}),
+    "van_der_pol_elementary": _plant(
+        "van_der_pol", 0.05, 500, 201, noise={"y": 1e-3}, inputs=_sines(0.05, v=lambda t: 0.5 * np.clip(t - 1, 0, 1))
+    ),
+    # A batch of 101 samples, whose first solution alone takes a minute under callgrind.
+    "van_der_pol_signed_elementary": _plant(
+        "van_der_pol", 0.1, 106, 101, noise={"y": 1e-3}, inputs=_sines(0.1, v=lambda t: 0.5 * np.clip(t - 1, 0, 1))
+    ),
+    "silverbox_pseudospectral": SILVERBOX_SCENARIO,
+}
+CATALOGUE = PAPERS | {name: Entry(FMUS[name][0], scenario) for name, scenario in OTHERS.items()}
 
 
 @dataclass(frozen=True)
