@@ -24,7 +24,9 @@ EXTERNAL = (
 )
 
 # CasADi gives every function the same five arguments, whether it needs them or not, and leaves addresses of what was local
-# in arrays that nobody reads again. Its code comes after the system's header, whose functions are not ours to hide.
+# in arrays that nobody reads again. From its loops that run once gcc concludes that a variable may never be set, from its checks for
+# null pointers that its work space may begin at address 0. Its code comes after the system's header, whose functions are not ours
+# to hide.
 _CASADI_HEAD = """\
 #include <math.h>
 
@@ -33,8 +35,21 @@ _CASADI_HEAD = """\
 #if defined __GNUC__
 #pragma GCC diagnostic ignored "-Wunused-parameter"
 #endif
+#if defined __GNUC__ && !defined __clang__
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#pragma GCC diagnostic ignored "-Warray-bounds"
+#endif
+#if defined __GNUC__ && !defined __clang__ && __GNUC__ >= 7
+#pragma GCC diagnostic ignored "-Wstringop-overflow"
+#endif
 #if defined __GNUC__ && !defined __clang__ && __GNUC__ >= 12
 #pragma GCC diagnostic ignored "-Wdangling-pointer"
+#endif
+/* Bounds in CasADi's tables. tcc folds what overflows, but no operation on an infinity: -INFINITY is no constant to it, and in
+   parentheses neither is this. */
+#if defined __TINYC__
+#include <float.h>
+#define casadi_inf DBL_MAX * 10
 #endif
 BEGIN_INTERNAL
 """
@@ -177,7 +192,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
     named = isinstance(component.sample_time, str)
     breaks = [p_index[name] for name in component.breaks]
     counters = [y_index[name] for name in component.counters]
-    failures = [f"{{{json.dumps(failure.what)}, {json.dumps(failure.measure)}}}" for failure in component.failures]
+    failures = [f"{{{text(failure.what)}, {text(failure.measure)}}}" for failure in component.failures]
     fields = {
         "name": json.dumps(component.name),
         "guid": json.dumps(guid),
@@ -235,6 +250,11 @@ def _variable(port: Port, role: str) -> str:
     start = 0.0 if role == "OUTPUT" else port.start
     low, high = bounds(port)
     return f"{{{json.dumps(port.name)}, {role}, {kind}, {real(start)}, {real(low)}, {real(high)}}}"
+
+
+def text(value: str) -> str:
+    """A string of C in UTF-8: what is no plain ASCII, and what begins an escape or a trigraph, is escaped byte by byte."""
+    return '"' + "".join(chr(b) if 32 <= b < 127 and b not in b'"\\?' else f"\\{b:03o}" for b in value.encode()) + '"'
 
 
 def real(value: float) -> str:

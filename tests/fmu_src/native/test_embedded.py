@@ -170,6 +170,29 @@ def test_a_model_of_any_name_compiles(name: str, tmp_path: Path) -> None:
     call(library, tmp_path)
 
 
+def test_infinite_bounds_in_a_table_are_constants_to_a_compiler_that_folds_no_infinity(tmp_path: Path) -> None:
+    """tcc: -INFINITY is no constant to it. The outputs are gcc's."""
+    z, u, p, t, h = ca.MX(0, 1), ca.MX.sym("u"), ca.MX.sym("p", 0), ca.MX.sym("t"), ca.MX.sym("h")
+    low, high = ca.MX(ca.DM([-np.inf, 0.3, -np.inf])), ca.MX(ca.DM([np.inf, np.inf, 0.4]))
+    bounded = Component(
+        name="bounded",
+        description="Clips its input",
+        start=ca.Function("start", [p, t], [z]),
+        flow=ca.Function("flow", [z, u, p, t, h], [z]),
+        output=ca.Function("output", [z, u, p, t], [ca.fmax(low, ca.fmin(u, high))]),
+        inputs=(Port("u"),),
+        outputs=(Port("free"), Port("from_below"), Port("from_above")),
+    )
+    write(bounded, tmp_path)
+    place = tmp_path / "sources"
+    assert re.search(r"static const.*\{-casadi_inf, .*, -casadi_inf\}", (place / "functions.c").read_text())
+    command = [*compiler("tcc"), "-I", place / "embedded", place / "embedded" / "example.c", place / "functions.c"]
+    call([*command, "-lm", "-o", tmp_path / "by_tcc"], tmp_path)
+    printed = call([tmp_path / "by_tcc"], tmp_path)
+    assert printed == call([example(tmp_path, tmp_path / "by_gcc")], tmp_path)
+    assert (np.ptp(doubles(printed), axis=0) > 0.3).all()
+
+
 def measured(component: Component, samples: int) -> list[float]:
     """What a noisy sensor of this plant measures at its sample instants."""
     sensor = {"sensor.noise_bound": 0.01, "sensor.sample_time": 0.1, "sensor.seed": 3}

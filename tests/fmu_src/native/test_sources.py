@@ -15,6 +15,7 @@ import pytest
 
 from fmu_src.compliance.files.binaries import functions
 from fmu_src.native import compiler as native
+from fmu_src.native.sources import text
 from slave import Slave
 from tools import need
 
@@ -145,6 +146,17 @@ def test_a_compiler_that_knows_c99_and_no_more_takes_the_sources(model: str, unp
     folder = unpacked(model)
     call([*compiler("tcc"), "-shared", *sources(folder), "-lm", "-o", tmp_path / "built.so"], tmp_path)
     assert symbols(tmp_path / "built.so", "--dynamic") >= functions("CoSimulation")
+
+
+@pytest.mark.parametrize("name", ["gcc", "tcc"])
+def test_a_text_is_a_string_of_c_whatever_it_holds(name: str, tmp_path: Path) -> None:
+    """Quotes, escapes, trigraphs, figures behind an escape, letters of other alphabets and what lies beyond 16 bits."""
+    value = 'a "b" \\n ??) ??/ é7 \u03b8 \U0001f600 \x07'
+    (tmp_path / "it.c").write_text(
+        f"#include <stdio.h>\nint main(void)\n{{\n    puts({text(value)});\n    return 0;\n}}\n"
+    )
+    call([*compiler(name), *(STRICT if name == "gcc" else ()), "it.c", "-o", "it"], tmp_path)
+    assert call([tmp_path / "it"], tmp_path) == value + "\n"
 
 
 @pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only"])
