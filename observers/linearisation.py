@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from observers.free_motion import explicit_step, free_motion
 from observers.model import Model, ModelError, Variable
 from observers.numerics.algebraic import solution
-from observers.numerics.runge_kutta import STABLE, stable_step
+from observers.numerics.runge_kutta import DORMAND_PRINCE_8, Tableau, stable_step
 from observers.numerics.semilinear import split, unreachable
 
 MOST_SUBSTEPS = 256  # of the longest step, for the sake of a bound
+# Error of a step of the prediction, in units of a state's largest value or of its nominal value; the next sample corrects it.
+PREDICTED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -92,18 +95,23 @@ def refuse_undetectable(model: Model, method: str) -> None:
         )
 
 
-def prediction_step(model: Model, longest: float) -> float:
-    """The longest step of the prediction [s]: `longest`, halved until Dormand and Prince's method is stable where the model is looked at.
+def prediction_step(
+    model: Model, longest: float, tableau: Tableau = DORMAND_PRINCE_8, tolerance: float = PREDICTED
+) -> float:
+    """The longest step of the prediction [s]: `longest`, halved until an explicit method follows the model where it is looked at.
 
-    That is at the start values, one state at a time at its bounds and a nominal value to either side, and in its constant linear part. A
-    model that is stiff elsewhere wants a smaller `longest`, and so does one whose bounds would want more than MOST_SUBSTEPS of them: no
-    motion is meant to come there.
+    It is stable at the start values, one state at a time at its bounds and a nominal value to either side, and in the constant linear part;
+    stable and accurate along the motion from the start values, inputs held (`observers.free_motion`). A model
+    that is fast elsewhere wants a smaller `longest`, and so does one whose bounds would want more than MOST_SUBSTEPS of them: no motion is
+    meant to come there.
     """
     linear, *found = _jacobians(model, bounds=True)
     looked_at = [linear]
     looked_at += [A for A in found[:1] if np.all(np.isfinite(A))]
-    looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < STABLE * MOST_SUBSTEPS]  # false for NaN
-    return stable_step(looked_at, longest)
+    looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < tableau.stable * MOST_SUBSTEPS]  # false for NaN
+    step = stable_step(looked_at, longest, tableau)
+    moving = free_motion(model, longest)
+    return step if moving is None else explicit_step(moving, step, tableau, tolerance)
 
 
 def fastest_rate(model: Model) -> float:

@@ -16,6 +16,7 @@ from observers.numerics import noise
 from reference_models.motion import consistent, move
 
 NEVER = 1e30  # a jump time beyond any run
+ACCURATE = 1e-6  # error of a step, in units of a state's largest value or of its nominal value
 _ALGEBRAIC = (
     "The algebraic equations are solved by Newton's method at every stage, from the last solution; the first one is that near "
     "start.*. Where that branch of solutions ends, within a step or two of the method, the step is an error that names the "
@@ -77,7 +78,7 @@ def plant(
     eq = model.equations
     inputs = ca.vertcat(eq.u, eq.w)
     known = ca.vertcat(*[p[f"parameter.{q.name}"] for q in model.parameters])
-    longest = prediction_step(model, max_step)
+    longest = prediction_step(model, max_step, tolerance=ACCURATE)
     measure = ca.Function("measure", [eq.x, eq.z, inputs, eq.p, eq.theta, eq.t], [eq.output])
 
     def unknown(time: ca.SX) -> ca.SX:

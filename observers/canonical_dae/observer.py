@@ -35,7 +35,9 @@ from observers.canonical_dae.interpolation import HIGHEST
 from observers.canonical_dae.ports import SINGULAR, disturbances, documentation, lambdas, structure
 from observers.canonical_dae.region import Region, region
 from observers.component import Component
+from observers.linearisation import prediction_step
 from observers.model import Model, refuse
+from observers.numerics.runge_kutta import CLASSICAL_4
 
 FASTEST = 10.0  # [1/s]: where the poles are by default
 
@@ -75,7 +77,7 @@ def canonical_dae(
             judged; a thousandth of the nominal value if absent.
         guess: start values of `guess.*` that differ from the model's. The first sample projects it onto h(x) = y.
         name: the component's name; `<model>_canonical_dae` if absent.
-        max_step: the longest prediction step [s] (classical Runge-Kutta).
+        max_step: the longest prediction step [s] (classical Runge-Kutta); shortened as `prediction_step` says.
         stop_time: of the default experiment [s].
 
     Raises:
@@ -130,7 +132,7 @@ def canonical_dae(
         constants=structure(form, order, degree),
         sample_time="sample_time",
         samples_inputs=True,
-        max_step=max_step,
+        max_step=prediction_step(model, max_step, CLASSICAL_4),
         stop_time=stop_time,
         step_size=sample_time,
         counters=(SINGULAR.name, *(port.name for port in (*ports.COUNTERS, ports.RESTARTS))),

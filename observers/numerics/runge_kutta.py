@@ -16,17 +16,20 @@ from scipy.integrate import DOP853
 
 @dataclass(frozen=True)
 class Tableau:
-    """An explicit Butcher tableau: stages x_i = x + h sum_j a_ij k_j at t + c_i h, result x + h sum_i b_i k_i."""
+    """An explicit Butcher tableau: stages x_i = x + h sum_j a_ij k_j at t + c_i h, result x + h sum_i b_i k_i.
+
+    `stable`: |h lambda| inside the region of stability, with a margin, for lambda in the left half plane.
+    """
 
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
     order: int
+    stable: float = 2.5
 
 
-# |h lambda| inside the region of stability of DORMAND_PRINCE_8, with a margin, for lambda in the left half plane.
-STABLE = 3.0
-DORMAND_PRINCE_8 = Tableau(np.asarray(DOP853.A), np.asarray(DOP853.B), np.asarray(DOP853.C), order=8)
+STABLE = 3.0  # of DORMAND_PRINCE_8
+DORMAND_PRINCE_8 = Tableau(np.asarray(DOP853.A), np.asarray(DOP853.B), np.asarray(DOP853.C), order=8, stable=STABLE)
 CLASSICAL_4 = Tableau(
     np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1, 0]]),
     np.array([1, 2, 2, 1]) / 6,
@@ -44,14 +47,14 @@ def runge_kutta(rhs: Callable[[Any, Any], Any], x: Any, t: Any, h: Any, tableau:
     return x + h * _combine(tableau.b, stages)
 
 
-def stable_step(jacobians: Iterable[np.ndarray], longest: float) -> float:
-    """The longest of `longest`, `longest` / 2, ... with which DORMAND_PRINCE_8 is stable for x' = A x, for each A of `jacobians`.
+def stable_step(jacobians: Iterable[np.ndarray], longest: float, tableau: Tableau = DORMAND_PRINCE_8) -> float:
+    """The longest of `longest`, `longest` / 2, ... with which the method is stable for x' = A x, for each A of `jacobians`.
 
     Halved, not cut to size: the last bits of eigenvalues depend on the machine.
     """
     fastest = max((float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) for A in jacobians), default=0.0)
     step = longest
-    while step * fastest > STABLE:
+    while step * fastest > tableau.stable:
         step /= 2
     return step
 

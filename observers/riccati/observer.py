@@ -24,15 +24,19 @@ import numpy as np
 from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
+from observers.free_motion import accurate_step, free_motion
 from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_undetectable
 from observers.model import Model, refuse
 from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
 from observers.riccati.design import UNKNOWN, Given, design
+from observers.riccati.rosenbrock import along
 from observers.status import shown
 from observers.tables import refuse_tables_that_end
 from observers.vigilance import TUNING
 
+EXPONENTIAL = 1e-3  # error of a step, in units of a state's largest value or of its nominal value
+POINTS = 60  # of the motion, at which it is looked at
 STIFF = 2.0  # h |A| beyond which Runge-Kutta gives way to the exponential step
 INITIAL_ERROR = Port(
     "tuning.initial_error",
@@ -74,8 +78,10 @@ def riccati(
             given, the deviations' defaults.
         expose: "Q" puts out the matrix Q, `diagnostics.Q[i,j]`.
         stiff: the mean by an exponential Rosenbrock step (order 2, any stiffness) instead of Runge-Kutta (order 8). None: where h |A|
-            exceeds STIFF, |A| over the model's bounds if it is finite there, else at the start values.
-        max_step: the longest prediction step [s].
+            exceeds STIFF, |A| over the model's bounds if it is finite there, else at the start values, and the model is not so nonlinear
+            that the exponential step would have to be the shorter one.
+        max_step: the longest prediction step [s]; shortened as `prediction_step` says, the exponential one until its error along the motion
+            from the start values is below EXPONENTIAL.
 
     Raises:
         ModelError: algebraic variables or unknown disturbances, a state or unknown parameter that no output can ever see and that does
@@ -94,8 +100,13 @@ def riccati(
     deviations = {"process_noise": process_noise, "measurement_noise": measurement_noise, "initial_std": initial_std}
     chosen = design(model, line.variables, sample_time, {"N": N, "R": R, "Q0": Q0}, deviations)
     known = certificate(model, line, chosen.N.start, chosen.R.start, chosen.Q0.start)
+    explicit, exponential = prediction_step(model, max_step), max_step
+    asked = stiff is not None
     if stiff is None:
         stiff = min(sample_time, max_step) * (known.A if np.isfinite(known.A) else _norm_at_start(model, line)) > STIFF
+    if stiff:
+        exponential = _exponential_step(model, max_step)
+        stiff = asked or exponential > min(sample_time, explicit)
     v = steps.parts(model, line, chosen, known, stiff)
     shown = _shown(v, "Q" in expose)
     return Component(
@@ -127,7 +138,7 @@ def riccati(
         constants=certificate_ports(known),
         sample_time="sample_time",
         samples_inputs=True,
-        max_step=max_step if stiff else prediction_step(model, max_step),
+        max_step=exponential if stiff else explicit,
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
@@ -152,6 +163,11 @@ def _norm_at_start(model: Model, line: Linearisation) -> float:
     """|A| at the model's start values and t = 0."""
     start = [np.array([v.start for v in group]) for group in (line.variables, model.inputs, model.parameters)]
     return float(np.linalg.norm(line.jacobian(*start, 0.0).full(), 2))
+
+
+def _exponential_step(model: Model, longest: float) -> float:
+    found = free_motion(model, longest)
+    return longest if found is None else accurate_step(found.thinned(POINTS), along(found), longest, 2, EXPONENTIAL)
 
 
 def _documentation(model: Model, known: Certificate, stiff: bool) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import casadi as ca
 
+from observers.free_motion import FreeMotion
 from observers.numerics.riccati import propagator
 
 TINY = 1e-150
@@ -32,3 +33,15 @@ def rosenbrock(A: Any, rate: Any, rate_t: Any, W: Any, h: Any) -> tuple[Any, Any
     extended = ca.blockcat([[A, forcing / unit], [ca.MX(2, n), clock]])
     Phi, Wd = propagator(n + 2)(extended, ca.diagcat(W, ca.MX(2, 2)), h)
     return unit * Phi[:n, n + 1], Phi[:n, :n], Wd[:n, :n]
+
+
+def along(found: FreeMotion) -> ca.Function:
+    """moved(x, z, t, h) -> x: a step at a point of the motion `found`, whose z is empty."""
+    n = len(found.states)
+    at, when, none = ca.SX.sym("x", n), ca.SX.sym("t"), ca.SX(0, 1)
+    moving = found.rate(at, none, when)[0]
+    parts = ca.Function("parts", [at, when], [found.jacobian(at, none, when), moving, ca.jacobian(moving, when)])
+    x, z, t, h = ca.MX.sym("x", n), ca.MX.sym("z", 0), ca.MX.sym("t"), ca.MX.sym("h")
+    A, rate, rate_t = parts(x, t)
+    dx, _, _ = rosenbrock(A, ca.densify(rate), ca.densify(rate_t), ca.MX(ca.DM.zeros(n, n)), h)
+    return ca.Function("moved", [x, z, t, h], [x + dx])
