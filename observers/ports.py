@@ -44,6 +44,7 @@ class Deviation:
     per_root_second: bool = False
 
 
+LARGEST_STD = 1e30  # of a nominal value: a deviation that says nothing is known; its fourth power is a number
 STATE_PART, PARAMETER_PART = 5e-4, 2e-3  # of a nominal value: default process noise a sample
 PROCESS_NOISE = Deviation("process noise intensity of", per_root_second=True)
 MEASUREMENT_NOISE = Deviation("standard deviation of a sample of")
@@ -254,7 +255,7 @@ def deviations(
     A standard deviation has its variable's unit. An intensity, in that unit per sqrt(s), has none that FMI could say: the description does.
 
     Raises:
-        ModelError: a name in `values` that is none of the `variables`.
+        ModelError: a name in `values` that is none of the `variables`, a value above LARGEST_STD of the nominal value or below `smallest`.
     """
     given = dict(values or {})
     made = []
@@ -268,6 +269,7 @@ def deviations(
                 units.NONE if what.per_root_second else unit,
                 given.pop(v.name, part * v.nominal),
                 min=smallest * v.nominal,
+                max=LARGEST_STD * v.nominal,
                 variability=variability,
             )
         )

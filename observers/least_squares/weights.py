@@ -14,6 +14,7 @@ from observers.least_squares.information import contraction
 from observers.model import Model, Variable
 from observers.numerics.finite import HUGE
 
+SMALLEST_WEIGHT, LARGEST_WEIGHT = 1e-12, 1e60  # of gamma and p0
 SMALLEST_STD = 1e-9  # relative to the nominal value: a weight is one over its square
 
 
@@ -66,7 +67,7 @@ def weights(
 
     Raises:
         ModelError: a deviation of something that is not estimated or measured.
-        ValueError: both ways at once, gamma or p0 not positive and finite.
+        ValueError: both ways at once, gamma or p0 not positive and finite, or out of their parameter's range.
     """
     for what, value, other, deviations in (
         ("gamma", gamma, "measurement_noise", measurement_noise),
@@ -93,8 +94,28 @@ def _paper(
     first = 1.0 if gamma is None else gamma
     second = 1.0 if p0 is None else p0
     return (
-        (Port("tuning.gamma", "least-squares gain", per_sample, first, min=1e-12, variability="tunable"),),
-        (Port("tuning.p0", "what P_o is reset to", squared, second, min=1e-12, variability="tunable"),),
+        (
+            Port(
+                "tuning.gamma",
+                "least-squares gain",
+                per_sample,
+                first,
+                min=SMALLEST_WEIGHT,
+                max=LARGEST_WEIGHT,
+                variability="tunable",
+            ),
+        ),
+        (
+            Port(
+                "tuning.p0",
+                "what P_o is reset to",
+                squared,
+                second,
+                min=SMALLEST_WEIGHT,
+                max=LARGEST_WEIGHT,
+                variability="tunable",
+            ),
+        ),
     )
 
 

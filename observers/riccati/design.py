@@ -19,6 +19,7 @@ from observers.model import Model, ModelError, Variable
 
 SMALLEST = 1e-12  # a diagonal entry: with 0 the matrix would be singular
 SMALLEST_STD = 1e-9  # standard deviation, relative to the nominal value
+LARGEST = 1e30  # an entry of N and R, the root of one of Q0
 UNKNOWN = 1e30  # a bound that says nothing
 Given = ArrayLike | Mapping[str, float] | None  # scalar, diagonal, whole, or the diagonal by names
 
@@ -143,8 +144,16 @@ class Entry:
         said = units.product([(units.difference(v.unit), self.power // len(factors)) for v in factors])
         words = f", {self.words.format(units.difference(factors[0].unit) or 'its unit')}" if self.words else ""
         unit = said if self.power else units.NONE
-        low = SMALLEST if len(factors) == 1 else -np.inf
-        return Port(name, f"{self.text}{of}{words}", unit, start, min=low, variability=variability)
+        high = LARGEST ** max(self.power, 1)
+        return Port(
+            name,
+            f"{self.text}{of}{words}",
+            unit,
+            start,
+            min=SMALLEST if len(factors) == 1 else -high,
+            max=high,
+            variability=variability,
+        )
 
 
 def matrix(

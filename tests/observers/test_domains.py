@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -113,9 +115,44 @@ def test_no_parameter_in_its_range_ends_the_run(kind: str) -> None:
         if port.name.startswith("guess.") or port.name == "sample_time":
             continue
         low, high = bounds(port)
-        for value in {low, high, 0.0, 1e-300, 1e30, 1e100}:
+        for value in {low, high, 0.0, 1e-300, 1e30, 1e100, 1e155, sys.float_info.max}:
             if low <= value <= high and math.isfinite(value) and (port.kind == "Real" or float(value).is_integer()):
                 run(Instance(component, {port.name: value}), rows, sample_time)
+
+
+DEVIATIONS = ("tuning.process_noise.", "tuning.measurement_noise.", "tuning.initial_std.")
+WEIGHTS = ("tuning.gamma", "tuning.p0", "tuning.N.", "tuning.R.", "tuning.Q0.")
+BY_DEVIATIONS: dict[str, Make] = {
+    "ukf": KINDS["ukf"],
+    "riccati": KINDS["riccati"],
+    "arrival": KINDS["arrival"],
+    "least_squares": lambda m, Ts: least_squares(
+        m, sample_time=Ts, T=20 * Ts, linearise=True, measurement_noise={}, initial_std={}
+    ),
+}
+BY_WEIGHTS: dict[str, Make] = {
+    "riccati": lambda m, Ts: riccati(m, sample_time=Ts, N=1.0),
+    "least_squares": KINDS["least_squares"],
+}
+
+
+@pytest.mark.parametrize(
+    ("make", "prefixes"),
+    [(make, DEVIATIONS) for make in BY_DEVIATIONS.values()] + [(make, WEIGHTS) for make in BY_WEIGHTS.values()],
+    ids=[*BY_DEVIATIONS, *(f"{kind} by weights" for kind in BY_WEIGHTS)],
+)
+def test_what_is_squared_has_a_largest_value_that_the_message_names(make: Make, prefixes: tuple[str, ...]) -> None:
+    component = make(MODELS["two_tanks"], 0.1)
+    rows = measurements("two_tanks", 0.1, 30)
+    limited = [port for port in component.parameters if port.name.startswith(prefixes)]
+    assert limited
+    for port in limited:
+        assert math.isfinite(port.max)
+        for value in (10 * port.max, 1e155, sys.float_info.max):
+            with pytest.raises(ValueError, match=re.escape(f"{port.name} = {value:.10g}")) as refused:
+                Instance(component, {port.name: value})
+            assert f"{port.max:g}" in str(refused.value)
+    run(Instance(component, {port.name: port.max for port in limited}), rows, 0.1)
 
 
 @pytest.mark.parametrize(("kind", "name"), BUILDS_NOT)
