@@ -124,6 +124,10 @@ def costs(driver: Path, entry: Entry, component: Component, scratch: Path) -> li
     return [cost(driver, fmu, entry, streams.stream(corruption, 0)) for corruption in STREAMS]
 
 
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value >= 1000 else f"{value:.1f}" if value >= 1 else f"{value:.2g}"
+
+
 def rows(entries: dict[str, Entry], limit: int | None, bar: Progress) -> Iterator[list[str]]:
     """The cells of each observer; with a `limit`, of those that have one."""
     task = bar.add_task("", total=len(entries))
@@ -141,9 +145,9 @@ def rows(entries: dict[str, Entry], limit: int | None, bar: Progress) -> Iterato
             worst = max(found, key=lambda c: c.worst)
             yield [
                 f"`{name}`",
-                *(f"{value / 1e3:.1f}" for c in found for value in (c.median, c.worst)),
+                *(_short(value / 1e3) for c in found for value in (c.median, c.worst)),
                 f"{worst.worst / found[0].median:.1f}",
-                f"{worst.ms:.2g} of {1e3 * entry.scenario().sample_time:.3g}",
+                f"{_short(worst.ms)} of {1e3 * entry.scenario().sample_time:.3g}",
                 f"{limit_of(component) or '-'}",
             ]
 
