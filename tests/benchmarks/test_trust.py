@@ -67,7 +67,9 @@ def test_an_observer_that_is_right_is_never_wrong_and_one_that_is_lied_to_is(str
 
 
 @pytest.mark.parametrize(("name", "expected"), [("clean", True), ("sign", True), ("noise", False), ("clipped", False)])
-def test_hindsight_explains_what_another_motion_does_and_nothing_else(streams: Streams, name: str, expected: bool) -> None:
+def test_hindsight_explains_what_another_motion_does_and_nothing_else(
+    streams: Streams, name: str, expected: bool
+) -> None:
     """The Duffing system upside down is one too; noise of five times the deviation is no motion."""
     stream = streams.stream(next(c for c in (CLEAN, *CORRUPTIONS) if c.name == name), 0)
     side = -1.0 if name == "sign" else 1.0
