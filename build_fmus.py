@@ -13,20 +13,27 @@ from __future__ import annotations
 
 import os
 import runpy
+import shutil
 import signal
 import sys
+import tempfile
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from cosim.errors import suggest
 from cosim.system import Element, System, write_ssp
 from cosim.system.by_name import Ports, connect, element_names, role
+from cosim.whole import whole
 from fmu_src import ExportError, export
 from fmu_src.archive import check_writable
+from fmu_src.native.compiler import share_group
 from observers.component import Component
 from reference_models import (
     calvillo_alamir,
@@ -166,8 +173,13 @@ def build_all(
         check_writable(out.resolve().parent / "systems")
     total = len(work.fmus) + len(work.systems)
     exported: dict[str, Path] = {}
-    for name, path in _export_all(work.fmus, out, platforms, target, lambda name: progress(name, len(exported), total)):
-        exported[name] = path
+
+    def building(name: str) -> None:
+        progress(name, len(exported), total)
+
+    with closing(_export_all(work.fmus, out, platforms, target, building)) as made:
+        for name, path in made:
+            exported[name] = path
     written = [exported[name] for name in work.fmus]
     directory = out.resolve().parent / "systems"
     for name, recipe in work.systems.items():
@@ -181,7 +193,7 @@ def build_all(
 
 def _export_all(
     fmus: dict[str, Source], out: Path, platforms: Sequence[str], target: str, building: Callable[[str], None]
-) -> Iterator[tuple[str, Path]]:
+) -> Generator[tuple[str, Path], None, None]:
     """Name and path of each FMU when it is written; `building` is told the name of one that is being built."""
     processes = min(len(fmus), os.cpu_count() or 1)
     # Components do not pickle: other processes make them anew, by their names in the catalogue. A user's file runs once.
@@ -191,29 +203,70 @@ def _export_all(
             building(name)
             yield name, _export(source, out, platforms, target)
         return
-    # Ctrl-C reaches all processes: this one answers, and ends the others.
-    with ProcessPoolExecutor(processes, get_context("spawn"), _take_orders) as pool:
-        waiting = {pool.submit(_export_named, name, out, platforms, target): name for name in fmus}
-        building(next(iter(fmus)))
+    with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, _pool(processes, scratch) as pool:
+        with _interrupts_blocked():
+            waiting = {pool.submit(_export_named, name, scratch, platforms, target): name for name in fmus}
         try:
+            building(next(iter(fmus)))
             for done in as_completed(list(waiting)):
-                yield waiting.pop(done), done.result()
+                name = waiting.pop(done)
+                yield name, _moved(done.result(), out)
                 if waiting:
                     building(next(iter(waiting.values())))  # the first that was submitted is being built
         except BrokenExecutor as error:
             raise ExportError("a process that built FMUs was ended from outside: memory may have run out") from error
-        except KeyboardInterrupt:
-            for process in list(pool._processes.values()):  # the pool itself would let each finish
-                process.terminate()
-            raise
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
-def _take_orders() -> None:
-    """In a process that builds: Ctrl-C is the parent's affair; its SIGTERM is an exception, so that the compiler ends too."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+@contextmanager
+def _pool(processes: int, scratch: str) -> Iterator[ProcessPoolExecutor]:
+    """Processes whose temporary files are in `scratch`. What ends the block early ends them and their compilers: the pool would wait."""
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _begin, (scratch,))
+    try:
+        yield pool
+    except BaseException:
+        for process in list(pool._processes.values()):
+            _kill(process)
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin(scratch: str) -> None:
+    """In a process that builds: it and its compilers are one group, which can be ended as one."""
+    tempfile.tempdir = scratch
+    if os.name == "posix":
+        os.setsid()
+        share_group()
+
+
+def _kill(process: BaseProcess) -> None:
+    if os.name == "posix":
+        with suppress(ProcessLookupError):  # it has just begun, and no group of its own yet
+            os.killpg(process.pid or 0, signal.SIGKILL)
+    process.kill()
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Processes that are started herein hear no Ctrl-C, which a terminal sends to all: this one answers."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # multiprocessing's, whose start unblocks them
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _moved(made: Path, out: Path) -> Path:
+    path = out / made.name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole(path) as unfinished:
+        shutil.copyfile(made, unfinished)
+    made.unlink()
+    return path
 
 
 def _export(source: Source, out: Path, platforms: Sequence[str], target: str) -> Path:
@@ -221,8 +274,8 @@ def _export(source: Source, out: Path, platforms: Sequence[str], target: str) ->
     return export(make(), out, platforms, driven_by() if driven_by else None, target)
 
 
-def _export_named(name: str, out: Path, platforms: Sequence[str], target: str) -> Path:
-    return _export(FMUS[name], out, platforms, target)
+def _export_named(name: str, out: str, platforms: Sequence[str], target: str) -> Path:
+    return _export(FMUS[name], Path(out), platforms, target)
 
 
 if __name__ == "__main__":

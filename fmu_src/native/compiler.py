@@ -27,6 +27,7 @@ FLAGS = (
 )
 MOST_ERRORS = 3  # of the compiler that a message holds
 LINK = ("-shared", "-g0", "-s")
+_shares = False  # its group with the compilers
 
 
 def cache_folder() -> Path:
@@ -93,6 +94,12 @@ def _compiler() -> Path:
     return program
 
 
+def share_group() -> None:
+    """From now on compilers are in this process's group, for whoever ends that as one; else each is in a group of its own."""
+    global _shares
+    _shares = True
+
+
 def _run(command: Sequence[str], folder: Path, environment: dict[str, str]) -> tuple[int, str]:
     """Exit code and error text of the compiler. Whatever ends this process's wait ends the compiler and what it started."""
     try:
@@ -104,7 +111,7 @@ def _run(command: Sequence[str], folder: Path, environment: dict[str, str]) -> t
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            start_new_session=True,  # a group of its own, which can be ended as one
+            start_new_session=not _shares,  # a group of its own, which can be ended as one
         )
     except OSError as error:
         raise ExportError(f"the C compiler {command[0]} does not start: {error.strerror or error}") from None
@@ -117,7 +124,7 @@ def _run(command: Sequence[str], folder: Path, environment: dict[str, str]) -> t
 
 
 def _end(process: subprocess.Popen[str]) -> None:
-    if os.name == "posix":
+    if os.name == "posix" and not _shares:
         os.killpg(process.pid, signal.SIGKILL)
     else:
         process.kill()
