@@ -92,7 +92,7 @@ def test_the_status_is_uncertain_where_a_standard_deviation_exceeds_its_limit(ki
 
     def follow(run: Instance) -> list[tuple[float, float, float]]:
         true, rng, rows = Instance(plant(SWING), t0=T0), np.random.default_rng(4), []
-        for k in range(25):
+        for k in range(45):  # an unknown noise is known after 20 samples beyond the window
             run.set("y", true.get("y") + 0.003 * rng.normal())
             run.step(T0 + k * TS, TS)
             true.step(T0 + k * TS, TS)
