@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter_ns
 
@@ -33,6 +35,17 @@ def drive_from_python(fmu: Unpacked, experiment: Experiment) -> PythonRun:
     Raises:
         RunError: the FMU failed.
     """
+    with begun(fmu, experiment) as slave:
+        return _step_all(slave, fmu, experiment)
+
+
+@contextmanager
+def begun(fmu: Unpacked, experiment: Experiment) -> Iterator[Slave]:
+    """An instance with the experiment's parameters, at its first step.
+
+    Raises:
+        RunError: the FMU failed.
+    """
     slave = Slave("driven", fmu.description, fmu.directory, [], 0.0)
     try:
         for name, value in experiment.start.items():
@@ -40,7 +53,7 @@ def drive_from_python(fmu: Unpacked, experiment: Experiment) -> PythonRun:
         slave.call(0.0, lambda f: f.setupExperiment(startTime=0.0))
         slave.call(0.0, lambda f: f.enterInitializationMode())
         slave.call(0.0, lambda f: f.exitInitializationMode())
-        return _step_all(slave, fmu, experiment)
+        yield slave
     finally:
         slave.free()
 

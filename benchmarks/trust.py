@@ -20,8 +20,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from benchmarks.streams.catalogue import ENTRIES, Entry
+from benchmarks.streams.catalogue import ENTRIES
 from benchmarks.streams.corruptions import CORRUPTIONS, Corruption
+from benchmarks.streams.entry import Entry
 from benchmarks.streams.native import sampled
 from benchmarks.streams.streams import Streams
 from benchmarks.streams.verdicts import Clean, Tried, Verdict, judge, limits

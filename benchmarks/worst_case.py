@@ -25,10 +25,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from benchmarks import callgrind
 from benchmarks.native import Experiment, Unpacked, build_driver, command, execute, unpack
-from benchmarks.streams.catalogue import CATALOGUE, Entry
+from benchmarks.python_master import begun
+from benchmarks.streams.catalogue import CATALOGUE
 from benchmarks.streams.corruptions import CLEAN, CORRUPTIONS
+from benchmarks.streams.entry import Entry
 from benchmarks.streams.streams import Stream, Streams
-from cosim.master.slave import Slave
 from fmu_src import export
 from observers.component import Component
 
@@ -95,13 +96,7 @@ def cost(driver: Path, fmu: Unpacked, entry: Entry, stream: Stream) -> Cost:
 
 def _last_step(fmu: Unpacked, experiment: Experiment) -> int:
     """Nanoseconds of the processor in the last of the steps."""
-    slave = Slave("driven", fmu.description, fmu.directory, [], 0.0)
-    try:
-        for name, value in experiment.start.items():
-            slave.set(fmu.variable(name), value, 0.0)
-        slave.call(0.0, lambda f: f.setupExperiment(startTime=0.0))
-        slave.call(0.0, lambda f: f.enterInitializationMode())
-        slave.call(0.0, lambda f: f.exitInitializationMode())
+    with begun(fmu, experiment) as slave:
         samples = np.ascontiguousarray(experiment.samples, dtype=float)
         references = np.array(fmu.references(experiment.inputs), dtype=np.uint32)
         set_real, h, took = slave.access("Set", "Real"), experiment.step, 0
@@ -113,8 +108,6 @@ def _last_step(fmu: Unpacked, experiment: Experiment) -> int:
             if status > fmi2Warning:
                 raise slave.failure("set or doStep", status, k * h)
         return took
-    finally:
-        slave.free()
 
 
 def costs(driver: Path, entry: Entry, component: Component, scratch: Path) -> list[Cost]:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from benchmarks.streams.streams import Stream
+from benchmarks.streams.streams import Stream, slopes_of
 from observers.instance import Instance
 
 SAMPLES = 20  # of a fit
@@ -26,7 +26,10 @@ def explained(stream: Stream, estimates: dict[str, np.ndarray], silent: np.ndarr
     found, last = np.zeros_like(silent), -EVERY
     for k in map(int, np.flatnonzero(silent)):
         if k - last >= EVERY:
-            last, answer = k, _fits(stream, {name: values[k - SAMPLES] for name, values in estimates.items()}, k)
+            last, answer = (
+                k,
+                _fits(stream, {name: values[max(k - SAMPLES, 0)] for name, values in estimates.items()}, k),
+            )
         found[k] = answer
     return found
 
@@ -58,13 +61,11 @@ def _motion(stream: Stream, parameters: dict[str, float], first: int, last: int)
     scenario, Ts = stream.scenario, stream.scenario.sample_time
     defaults = {port.name: port.start for port in scenario.plant.parameters} | dict(scenario.start)
     run = Instance(scenario.plant, defaults | parameters, t0=first * Ts)
-    slopes = {name: np.diff(values, append=values[-1]) / Ts * scenario.linear for name, values in stream.inputs.items()}
+    slopes = slopes_of(scenario, stream.inputs)
     rows = []
     for k in range(first, last + 1):
         for name, values in stream.inputs.items():
             run.set(name, values[k])
         rows.append([run.get(name) for name in stream.measured])
-        run.step(
-            run.time, Ts, np.array([slopes[p.name][k] if p.name in slopes else 0.0 for p in scenario.plant.inputs])
-        )
+        run.step(run.time, Ts, slopes[k])
     return np.array(rows)

@@ -93,6 +93,15 @@ class Streams:
         return self._simulated[change, seed]
 
 
+def slopes_of(scenario: Scenario, inputs: Values) -> np.ndarray:
+    """Those of the plant's inputs over each sample (n, inputs); 0 where they are held, or stay at their start values."""
+    still = np.zeros(scenario.samples)
+    changes = [
+        np.diff(inputs[p.name], append=inputs[p.name][-1]) if p.name in inputs else still for p in scenario.plant.inputs
+    ]
+    return np.reshape(changes, (-1, scenario.samples)).T / scenario.sample_time * scenario.linear
+
+
 def _simulate(scenario: Scenario, change: str, seed: int) -> tuple[Values, Values]:
     """Clean outputs at the instants of measurement, (n,), and the truth at t_0 to t_n, (n + 1,), by name."""
     component, Ts, n, during = scenario.plant, scenario.sample_time, scenario.samples, scenario.during
@@ -106,23 +115,23 @@ def _simulate(scenario: Scenario, change: str, seed: int) -> tuple[Values, Value
     run = Instance(component, parameters)
     inputs = scenario.inputs(seed, n)
     names = [port.name for port in component.outputs]
-    slopes = {name: np.diff(values, append=values[-1]) / Ts * scenario.linear for name, values in inputs.items()}
+    slopes = slopes_of(scenario, inputs)
     rows, measured = [], []
     for k in range(n):
         for name, values in inputs.items():
             run.set(name, values[k])
-        slope = np.array([slopes[port.name][k] if port.name in slopes else 0.0 for port in component.inputs])
         if change == "jump" and scenario.jump and k == during.start:
             name, factor = scenario.jump
             run.set(f"parameter.{name}", parameters[f"parameter.{name}"] * factor)
         rows.append(run.outputs())
         delay = JITTER * Ts * rng.uniform() if change == "jitter" and during.start <= k < during.stop else 0.0
         if delay:
-            run.step(run.time, delay, slope)
-            for name, slope_of in slopes.items():
-                run.set(name, inputs[name][k] + slope_of[k] * delay)
+            run.step(run.time, delay, slopes[k])
+            for i, port in enumerate(component.inputs):
+                if port.name in inputs:
+                    run.set(port.name, inputs[port.name][k] + slopes[k, i] * delay)
         measured.append(run.outputs())
-        run.step(run.time, Ts - delay, slope)
+        run.step(run.time, Ts - delay, slopes[k])
     rows.append(run.outputs())
     true, seen = np.array(rows), np.array(measured)
     outputs = {name: seen[:, names.index(name)] for name in scenario.noise}

@@ -8,9 +8,10 @@ import sys
 import numpy as np
 import pytest
 
-from benchmarks.streams.catalogue import DUFFING_SCENARIO, ENTRIES, MODELS
+from benchmarks.streams.catalogue import DUFFING_SCENARIO, ENTRIES
 from benchmarks.streams.corruptions import CLEAN, CORRUPTIONS, Corruption
 from benchmarks.streams.hindsight import explained
+from benchmarks.streams.literature import MODELS
 from benchmarks.streams.native import sampled
 from benchmarks.streams.streams import Streams
 from benchmarks.streams.verdicts import Tried, judge, limits, run
