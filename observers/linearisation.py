@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from observers.free_motion import explicit_step, free_motion
+from observers.free_motion import FreeMotion, explicit_step, free_motion
 from observers.model import Model, ModelError, Variable
 from observers.numerics.algebraic import solution
 from observers.numerics.runge_kutta import DORMAND_PRINCE_8, Tableau, stable_step
@@ -101,16 +101,25 @@ def prediction_step(
     """The longest step of the prediction [s]: `longest`, halved until an explicit method follows the model where it is looked at.
 
     It is stable at the start values, one state at a time at its bounds and a nominal value to either side, and in the constant linear part;
-    stable and accurate along the motion from the start values, inputs held (`observers.free_motion`). A model
-    that is fast elsewhere wants a smaller `longest`, and so does one whose bounds would want more than MOST_SUBSTEPS of them: no motion is
-    meant to come there.
+    stable and accurate along the motion from the start values, inputs held (`observers.free_motion`). A model that is fast elsewhere wants
+    a smaller `longest`, and so does one whose bounds would want more than MOST_SUBSTEPS of them: no motion is meant to come there.
     """
+    return step_along(model, free_motion(model, longest), longest, tableau, tolerance)
+
+
+def step_along(
+    model: Model,
+    moving: FreeMotion | None,
+    longest: float,
+    tableau: Tableau = DORMAND_PRINCE_8,
+    tolerance: float = PREDICTED,
+) -> float:
+    """`prediction_step` by the model's motion, which is known."""
     linear, *found = _jacobians(model, bounds=True)
     looked_at = [linear]
     looked_at += [A for A in found[:1] if np.all(np.isfinite(A))]
     looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < tableau.stable * MOST_SUBSTEPS]  # false for NaN
     step = stable_step(looked_at, longest, tableau)
-    moving = free_motion(model, longest)
     return step if moving is None else explicit_step(moving, step, tableau, tolerance)
 
 

@@ -28,6 +28,7 @@ HEM_4 = Tableau(
     np.array([0, 0, (16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9]),
     np.array([0, 3 / 10, (4 - _ROOT) / 10, (4 + _ROOT) / 10, 1]),
     order=4,
+    stable=2.5,
 )
 
 

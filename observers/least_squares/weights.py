@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -93,29 +94,10 @@ def _paper(
     squared = units.power(units.common(variables), 2)
     first = 1.0 if gamma is None else gamma
     second = 1.0 if p0 is None else p0
+    weight = partial(Port, min=SMALLEST_WEIGHT, max=LARGEST_WEIGHT, variability="tunable")
     return (
-        (
-            Port(
-                "tuning.gamma",
-                "least-squares gain",
-                per_sample,
-                first,
-                min=SMALLEST_WEIGHT,
-                max=LARGEST_WEIGHT,
-                variability="tunable",
-            ),
-        ),
-        (
-            Port(
-                "tuning.p0",
-                "what P_o is reset to",
-                squared,
-                second,
-                min=SMALLEST_WEIGHT,
-                max=LARGEST_WEIGHT,
-                variability="tunable",
-            ),
-        ),
+        (weight("tuning.gamma", "least-squares gain", per_sample, first),),
+        (weight("tuning.p0", "what P_o is reset to", squared, second),),
     )
 
 

@@ -25,16 +25,16 @@ class Tableau:
     b: np.ndarray
     c: np.ndarray
     order: int
-    stable: float = 2.5
+    stable: float
 
 
-STABLE = 3.0  # of DORMAND_PRINCE_8
-DORMAND_PRINCE_8 = Tableau(np.asarray(DOP853.A), np.asarray(DOP853.B), np.asarray(DOP853.C), order=8, stable=STABLE)
+DORMAND_PRINCE_8 = Tableau(np.asarray(DOP853.A), np.asarray(DOP853.B), np.asarray(DOP853.C), order=8, stable=3.0)
 CLASSICAL_4 = Tableau(
     np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1, 0]]),
     np.array([1, 2, 2, 1]) / 6,
     np.array([0, 0.5, 0.5, 1]),
     order=4,
+    stable=2.5,
 )
 
 

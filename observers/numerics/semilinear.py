@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from observers.numerics.equations import Equations
+from observers.numerics.operations import JUMPS, holds
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def lift_inputs(eq: Equations) -> tuple[Equations, ca.Function]:
     for i in range(slope.shape[0]):
         entries = [ca.simplify(slope[i, j]) for j in range(slope.shape[1])]
         through = [j for j, b in enumerate(entries) if not b.is_constant() and not ca.depends_on(b, others)]
-        if through and not _has_jumps(rows[i]):
+        if through and not holds(rows[i], JUMPS):
             w = ca.SX.sym(f"w{i}")
             rows[i] = ca.substitute(rows[i], eq.u[through], ca.DM.zeros(len(through))) + w
             forced.append(sum((entries[j] * eq.u[j] for j in through), ca.SX(0)))
@@ -81,20 +82,11 @@ def unreachable(f: ca.SX, h: ca.SX, symbols: ca.SX, x: ca.SX) -> list[int]:
     return [int(j) for j in np.flatnonzero(~sees)]
 
 
-# Operations that jump where a derivative does not show it: d fmod(x, 1) / d x = 1.
-JUMPS = {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_SIGN}
-
-
-def _has_jumps(expression: ca.SX) -> bool:
-    f = ca.Function("f", ca.symvar(expression), [expression])
-    return any(f.instruction_id(k) in JUMPS for k in range(f.n_instructions()))
-
-
 def _constant_entries(f: ca.SX, symbols: ca.SX) -> np.ndarray:
     jacobian = ca.densify(ca.jacobian(f, symbols))
     values = np.zeros(jacobian.shape)
     for i in range(jacobian.shape[0]):
-        if _has_jumps(f[i]):
+        if holds(f[i], JUMPS):
             continue
         for j in range(jacobian.shape[1]):
             entry = ca.simplify(jacobian[i, j])

@@ -167,10 +167,14 @@ def _within(method: Method, mean: Any, P: Any) -> Any:
     if not (np.isfinite(c.lower).any() or np.isfinite(c.upper).any()):
         return mean
     ns, unit = len(scale), ca.DM(scale)
-    lower, upper = ((ca.DM(bound) - mean) / unit for bound in (c.lower, c.upper))
+    m, Q = ca.MX.sym("mean", ns), ca.MX.sym("P", ns * ns)
+    lower, upper = ((ca.DM(bound) - m) / unit for bound in (c.lower, c.upper))
     no_rows = [ca.DM.zeros(1, ns), ca.DM.zeros(1), ca.DM.zeros(1)]
-    off, _, _, ok = quadratic_program(ns, 1)(_information(scale)(P), ca.DM.zeros(ns), *no_rows, lower, upper, 1)
-    return ca.if_else(ok, mean + unit * off, mean)
+    off, _, _, ok = quadratic_program(ns, 1)(_information(scale)(Q), ca.DM.zeros(ns), *no_rows, lower, upper, 1)
+    moved = ca.Function("moved", [m, Q], [ca.if_else(ok, m + unit * off, m)])
+    stays = ca.Function("stays", [m, Q], [m])
+    outside = ca.sum1(ca.logic_or(mean < ca.DM(c.lower), mean > ca.DM(c.upper))) > 0
+    return ca.Function.if_else("maybe_moved", moved, stays)(outside, mean, P)
 
 
 def _moved_on(method: Method) -> ca.Function:

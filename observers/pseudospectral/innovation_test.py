@@ -77,7 +77,7 @@ def patience(method: Method) -> int:
 def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested:
     """The test of a sample with the innovation `gap` (ny), of which `valid` (ny) count; `now` an `Instant`."""
     s, q, L = now.s, now.q, method.samples
-    due = ca.logic_and(s.k > L, ca.logic_or(method.noise_given, s.learnt >= LEARNT))
+    due = _due(method, s)
     spread = _doubtful(method, s)
     R = q.measurement_noise**2 if method.weighted else ca.DM(method.problem.output_scale**2)
     P = s.covariance
@@ -100,12 +100,12 @@ def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested
     quiet = ca.if_else(restart, L + 1 + consistency.WINDOWS[-1], quiet)
     # Where the estimate is not trusted, no sample is judged by it.
     limit = q.gate**2
-    far = ca.logic_and(ca.logic_and(due, quiet == 0), ca.logic_not(normalised**2 <= limit))
-    weight = ca.if_else(ca.logic_and(far, valid), ca.fmin(limit / normalised**2, 1), 1)
+    far = ca.logic_and(valid, ca.logic_not(normalised**2 <= limit))
+    lighter = ca.logic_and(ca.logic_and(due, quiet == 0), far)
+    weight = ca.if_else(lighter, ca.fmin(limit / normalised**2, 1), 1)
     weight = ca.if_else(ca.fabs(weight) <= 1, weight, 0)
     # A model that is a little wrong contradicts some samples slightly now and then: what was learned from the others is worth more.
-    gross = ca.sum1(ca.logic_and(valid, ca.logic_not(normalised**2 <= limit))) > 0
-    forgets = ca.logic_and(ca.logic_and(recovers, inconsistent), ca.logic_or(gross, doubt > L))
+    forgets = ca.logic_and(ca.logic_and(recovers, inconsistent), ca.logic_or(ca.sum1(far) > 0, doubt > L))
     begins = ca.logic_and(forgets, ca.logic_not(s.forgetting))
     kept = {
         # After a window all samples are newer than the contradiction: what lasts shows itself again.
@@ -132,20 +132,24 @@ def unknown_noise(method: Method, s: Any) -> Any:
     return s.learnt < LEARNT if method.weighted and not method.noise_given else 0
 
 
-def fit_tested(method: Method, now: Any, W: Any, cost: Any, inconsistent: Any) -> tuple[Any, Any]:
-    """Whether the fit's residual is larger than the measurement noise lets it be, and what `fit_factor` becomes.
+def fit_tested(method: Method, now: Any, W: Any, cost: Any, accepted: Any, inconsistent: Any) -> tuple[Any, Any]:
+    """Whether the residual of a fit that was `accepted` is larger than the measurement noise lets it be, and what `fit_factor` becomes.
 
     `cost` is the square of the residual of the samples weighted by `W`. Where nobody has said what the measurement noise is, it is compared
     with what it usually is: of the factor of the innovations a part is the process noise's.
     """
     s, problem = now.s, method.problem
-    due = ca.logic_and(s.k > method.samples, ca.logic_or(method.noise_given, s.learnt >= LEARNT))
     dof = ca.fmax(ca.sum1(W > 0) - (0 if method.arrival else len(problem.scale)), 1)
     mean = cost / (dof * problem.segment.sample_time)
     limit = consistency.chi_square_quantile(dof, now.q.false_alarm) / dof * s.fit_factor * _doubtful(method, s)
-    heavy = ca.logic_and(due, mean > limit)
-    counts = ca.logic_and(s.k > method.samples, mean < HUGE)
+    heavy = ca.logic_and(accepted, ca.logic_and(_due(method, s), mean > limit))
+    counts = ca.logic_and(accepted, ca.logic_and(s.k > method.samples, mean < HUGE))
     return heavy, _followed(method, s, s.fit_factor, mean, counts, ca.logic_or(inconsistent, heavy))
+
+
+def _due(method: Method, s: Any) -> Any:
+    """Whether there is something to judge by: a full window, and a noise."""
+    return ca.logic_and(s.k > method.samples, ca.logic_or(method.noise_given, s.learnt >= LEARNT))
 
 
 def _doubtful(method: Method, s: Any) -> Any:

@@ -64,8 +64,8 @@ def quality(
     unit = innovation_test.unit(method, learned)
     deviation = ca.norm_inf(standard_deviations(unit * covariance, problem.scale))
     rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
-    fit_heavy, fit_factor = innovation_test.fit_tested(method, now, window.W, solution.cost_after, tested.inconsistent)
-    heavy = ca.logic_and(solution.accepted, fit_heavy)
+    residual = (solution.cost_after, solution.accepted)
+    heavy, fit_factor = innovation_test.fit_tested(method, now, window.W, *residual, tested.inconsistent)
     status = worst(
         (ca.logic_not(window.moving + (s.k == method.samples)), CODE.settling),
         (ca.logic_or(tested.settling, innovation_test.unknown_noise(method, learned)), CODE.settling),
@@ -83,7 +83,6 @@ def quality(
         (regularity < q.regularity_limit if model.algebraic else 0, CODE.singular),
         (ca.logic_not(ref.enough), CODE.propagated_guess),
     )
-    fit_factor = ca.if_else(solution.accepted, fit_factor, s.fit_factor)
     return Quality(status, covariance, deviation, kept(node0, s.node0_residual), changed, heavy, fit_factor)
 
 

@@ -24,8 +24,8 @@ import numpy as np
 from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
-from observers.free_motion import accurate_step, free_motion
-from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_undetectable
+from observers.free_motion import FreeMotion, accurate_step, free_motion
+from observers.linearisation import Linearisation, linearisation, refuse_undetectable, step_along
 from observers.model import Model, refuse
 from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
@@ -100,12 +100,13 @@ def riccati(
     deviations = {"process_noise": process_noise, "measurement_noise": measurement_noise, "initial_std": initial_std}
     chosen = design(model, line.variables, sample_time, {"N": N, "R": R, "Q0": Q0}, deviations)
     known = certificate(model, line, chosen.N.start, chosen.R.start, chosen.Q0.start)
-    explicit, exponential = prediction_step(model, max_step), max_step
+    moving = free_motion(model, max_step)
+    explicit, exponential = step_along(model, moving, max_step), max_step
     asked = stiff is not None
     if stiff is None:
         stiff = min(sample_time, max_step) * (known.A if np.isfinite(known.A) else _norm_at_start(model, line)) > STIFF
     if stiff:
-        exponential = _exponential_step(model, max_step)
+        exponential = _exponential_step(moving, max_step)
         stiff = asked or exponential > min(sample_time, explicit)
     v = steps.parts(model, line, chosen, known, stiff)
     shown = _shown(v, "Q" in expose)
@@ -165,9 +166,10 @@ def _norm_at_start(model: Model, line: Linearisation) -> float:
     return float(np.linalg.norm(line.jacobian(*start, 0.0).full(), 2))
 
 
-def _exponential_step(model: Model, longest: float) -> float:
-    found = free_motion(model, longest)
-    return longest if found is None else accurate_step(found.thinned(POINTS), along(found), longest, 2, EXPONENTIAL)
+def _exponential_step(moving: FreeMotion | None, longest: float) -> float:
+    if moving is None:
+        return longest
+    return accurate_step(moving.thinned(POINTS), along(moving), longest, 2, EXPONENTIAL)
 
 
 def _documentation(model: Model, known: Certificate, stiff: bool) -> str:

@@ -12,8 +12,9 @@ from observers import ports
 from observers.bounds import conditioned, projected
 from observers.model import Model, Variable
 from observers.numerics import linear
-from observers.numerics.finite import HUGE, is_partial, kept
+from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
+from observers.numerics.operations import PARTIAL, holds
 from observers.numerics.runge_kutta import runge_kutta
 from observers.status import CODE
 from observers.status import shown as verdict_shown
@@ -86,8 +87,7 @@ class Parts:
 
         The points take that in at the next sample only.
         """
-        points = ca.reshape(s.points, self.n, self.n_points)
-        off = points - ca.repmat(ca.mtimes(points, self.weights), 1, self.n_points)
+        off = _off(ca.reshape(s.points, self.n, self.n_points), self.weights)
         variances = ca.mtimes(off**2, self.weights) + self.q.noise**2 * s.elapsed
         return self.watch.deviations(s.watch, variances)
 
@@ -234,7 +234,7 @@ def _seen(v: Parts, measure: ca.Function, mean: Any, drawn: Any) -> Any:
     mean and continued from there.
     """
     seen = ca.horzcat(*[v.at(measure, drawn[:, i], v.t) for i in range(v.n_points)])
-    if not is_partial(v.model.equations.output):
+    if not holds(v.model.equations.output, PARTIAL):
         return seen
     center = seen[:, 0]
     found = seen
@@ -269,6 +269,10 @@ def _gain(
 
 def _root(points: Any, weights: Any, noise_root: Any) -> Any:
     """The square root (n x n) of the covariance of the points plus noise_root noise_root'."""
-    mean = ca.mtimes(points, weights)
-    spread = ca.mtimes(points - ca.repmat(mean, 1, points.shape[1]), ca.diag(ca.sqrt(weights)))
+    spread = ca.mtimes(_off(points, weights), ca.diag(ca.sqrt(weights)))
     return linear.square_root(ca.horzcat(spread, noise_root))
+
+
+def _off(points: Any, weights: Any) -> Any:
+    """The points (n x n_points) less their mean."""
+    return points - ca.repmat(ca.mtimes(points, weights), 1, points.shape[1])

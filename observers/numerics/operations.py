@@ -1,0 +1,21 @@
+"""Which operations a CasADi expression is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import casadi as ca
+
+# They jump where a derivative does not show it: d fmod(x, 1) / d x = 1.
+JUMPS = {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_SIGN}
+# They are not defined, or infinite, for some finite arguments.
+PARTIAL = {
+    *(ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT, ca.OP_DIV, ca.OP_INV, ca.OP_POW, ca.OP_CONSTPOW),
+    *(ca.OP_ASIN, ca.OP_ACOS, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_FMOD, ca.OP_REMAINDER),
+}
+
+
+def holds(expression: ca.SX, operations: Collection[int]) -> bool:
+    """Whether one of the `operations` is in the expression."""
+    function = ca.Function("expression", ca.symvar(expression), [expression])
+    return any(function.instruction_id(k) in operations for k in range(function.n_instructions()))
