@@ -22,12 +22,13 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from multiprocessing import get_context, resource_tracker
+from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cosim.errors import suggest
+from cosim.interrupts import interrupts_blocked
 from cosim.system import Element, System, write_ssp
 from cosim.system.by_name import Ports, connect, element_names, role
 from cosim.whole import whole
@@ -204,7 +205,7 @@ def _export_all(
             yield name, _export(source, out, platforms, target)
         return
     with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, _pool(processes, scratch) as pool:
-        with _interrupts_blocked():
+        with interrupts_blocked():
             waiting = {pool.submit(_export_named, name, scratch, platforms, target): name for name in fmus}
         try:
             building(next(iter(fmus)))
@@ -244,20 +245,6 @@ def _kill(process: BaseProcess) -> None:
         with suppress(ProcessLookupError):  # it has just begun, and no group of its own yet
             os.killpg(process.pid or 0, signal.SIGKILL)
     process.kill()
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Processes that are started herein hear no Ctrl-C, which a terminal sends to all: this one answers."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # multiprocessing's, whose start unblocks them
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _moved(made: Path, out: Path) -> Path:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -12,6 +10,7 @@ import dask
 from distributed import Client, LocalCluster
 
 from cosim.errors import ExperimentError
+from cosim.interrupts import interrupts_blocked
 
 LOOPBACK = "127.0.0.1"
 DASHBOARD = f"{LOOPBACK}:8787"  # it has no password: nobody but this machine may see it
@@ -33,7 +32,7 @@ def connected(scheduler: str | None, workers: int | None, dashboard: bool) -> It
             if not dashboard:  # Dask opens its server all the same: it has no page then
                 settings |= {f"distributed.{role}.http.routes": [] for role in ("scheduler", "worker")}
             stack.enter_context(dask.config.set(settings))
-            with _interrupt_ignored():
+            with interrupts_blocked():
                 cluster = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
@@ -50,16 +49,3 @@ def connected(scheduler: str | None, workers: int | None, dashboard: bool) -> It
         except (OSError, ValueError) as error:
             raise ExperimentError(f"no Dask workers behind the scheduler '{scheduler}': {error}") from None
         yield client
-
-
-@contextmanager
-def _interrupt_ignored() -> Iterator[None]:
-    """Processes started herein ignore Ctrl-C, which a terminal sends to all: this process alone decides what it means."""
-    if threading.current_thread() is not threading.main_thread():  # the only one that may change it
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
