@@ -27,7 +27,6 @@ from fmu_src.python import target
 from fmu_src.python.target import CAPABILITIES
 from observers.instance import Instance
 from observers.model import Model, Variable
-from once import once
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
@@ -48,28 +47,6 @@ from tools import ROOT
 del test_memory_that_is_refused_is_an_answer  # noqa: F821
 
 Path_of = Callable[[str], Path]
-
-
-@pytest.fixture(scope="session")
-def python_fmus(shared: Path) -> Path_of:
-    """The path of the PythonFMU called `name`, one of COMPONENTS, built at the first call."""
-
-    def make(name: str) -> Path:
-        folder = once(shared / "python" / name, lambda folder: export(COMPONENTS[name](), folder, target="python"))
-        return next(folder.glob("*.fmu"))
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def unpacked(python_fmus: Path_of, shared: Path) -> Path_of:
-    """The folder with the contents of the PythonFMU called `name`."""
-
-    def unpack(name: str) -> Path:
-        fmu = python_fmus(name)
-        return once(shared / "python_unpacked" / name, lambda folder: fmpy.extract(str(fmu), str(folder)))
-
-    return unpack
 
 
 @pytest.mark.parametrize("name", COMPONENTS)
