@@ -1,7 +1,7 @@
 """What bounds a deadline: instructions of a step, median and worst, under noise and under outliers: python -m benchmarks.worst_case.
 
 Of every observer of the catalogue, and three more that `benchmarks.trust` judges. Each FMU is built and driven natively on the streams of
-`benchmarks.streams.catalogue`; callgrind counts each fmi2DoStep by itself. Inputs are held over a sample, in the plant too. Counts are per
+`benchmarks.streams.catalogue`; callgrind counts each fmi2DoStep by itself. Counts are per
 step of one sample; a few percent depend on the processor, for which glibc picks its cosine. The time is that of the step with the most
 instructions, driven from Python without callgrind: processor time, the least of three runs.
 """
@@ -112,7 +112,7 @@ def _last_step(fmu: Unpacked, experiment: Experiment) -> int:
 
 def costs(driver: Path, entry: Entry, component: Component, scratch: Path) -> list[Cost]:
     """Of the observer, on each of STREAMS."""
-    streams = Streams(replace(entry.scenario(), linear=False))
+    streams = Streams(entry.scenario())
     fmu = unpack(export(component, scratch), scratch / component.name)
     return [cost(driver, fmu, entry, streams.stream(corruption, 0)) for corruption in STREAMS]
 

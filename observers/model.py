@@ -114,7 +114,8 @@ class Model:
         algebraic: algebraic variables z, determined by `algebraic_equations`, as many as those.
         algebraic_equations: `(x, z, u, p, t) -> [g_1, ...]`, each zero.
         unknown_disturbances: time-varying inputs that nobody measures; `u.<name>`.
-        input_between_samples: what a known input does between two samples, "held" or "linear".
+        input_between_samples: what a known input does between two samples, "held" or "linear". Until the next sample is known an
+            observer holds it, or follows the derivatives that its host sets; then it takes the line.
         output_starts: what a sensor shows before anything has moved: each output's own start value where it has one, else the output at the
             start values of everything, at t = 0.
 

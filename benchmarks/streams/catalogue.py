@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.streams import literature
-from benchmarks.streams.entry import Entry, scenario, steps, waves
+from benchmarks.streams.entry import Entry, bands, scenario, waves
 from benchmarks.streams.streams import Scenario, Values
 from build_fmus import FMUS
 from observers.least_squares import least_squares
@@ -44,7 +44,7 @@ SILVERBOX_SCENARIO = scenario(
     400,
     noise={"y": 1e-3},
     settled=150,
-    inputs=lambda seed, samples: steps(seed, samples, 4, u=(-0.3, 0.3)),
+    inputs=lambda seed, samples: bands(seed, samples, SILVERBOX_TIME, 100.0, u=0.02),
     linear=True,
     jump=("k1", 0.8),
     mismatch=("c", 1.6),

@@ -31,6 +31,16 @@ def steps(seed: int, samples: int, every: int, **bounds: tuple[float, float]) ->
     }
 
 
+def bands(seed: int, samples: int, sample_time: float, highest: float, **deviations: float) -> Values:
+    """Inputs of twenty sines with random phases up to the `highest` frequency [Hz], by their standard deviations."""
+    rng, times = np.random.default_rng([seed, 9]), sample_time * np.arange(samples)
+    angles = 2 * np.pi * np.outer(highest * np.arange(1, 21) / 20, times)
+    return {
+        name: std / np.sqrt(10) * np.sum(np.sin(angles + rng.uniform(0, 2 * np.pi, (20, 1))), axis=0)
+        for name, std in deviations.items()
+    }
+
+
 def waves(sample_time: float, samples: int, **waves: Callable[[np.ndarray], np.ndarray]) -> Values:
     """Inputs as functions of time."""
     return {name: wave(sample_time * np.arange(samples)) for name, wave in waves.items()}

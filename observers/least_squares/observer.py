@@ -37,6 +37,7 @@ from observers.arguments import checked
 from observers.component import Component, Port
 from observers.least_squares import steps
 from observers.least_squares.weights import weights
+from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_unobservable
 from observers.model import Model, ModelError, refuse
 from observers.numerics.finite import HUGE
@@ -114,7 +115,7 @@ def least_squares(
     shown = [v.s.x, v.s.x_filtered, verdict(v.s.status), v.s.innovation, v.deviations(v.s)]
     shown += [v.s.contraction, v.s.certified, v.s.intervals]
     shown += [v.s.rejected, v.s.failures, v.s.restarts]
-    return Component(
+    made = Component(
         name=name or f"{model.name}_least_squares",
         description=f"Least-squares observer with covariance reset for {model.name} (Chen & Yen 1999)",
         start=steps.start(v),
@@ -147,6 +148,7 @@ def least_squares(
         counters=tuple(port.name for port in ports.COUNTERS),
         documentation=_documentation(model, linearise),
     )
+    return with_linear_inputs(made, model, sample_time)
 
 
 def _refuse_nonlinear(model: Model, line: Linearisation) -> None:

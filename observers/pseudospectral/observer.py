@@ -25,6 +25,7 @@ from collections.abc import Mapping
 from observers import ports
 from observers.arguments import checked
 from observers.component import Component
+from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import prediction_step
 from observers.model import Model
 from observers.numerics.layout import Layout
@@ -151,7 +152,7 @@ def pseudospectral(
         weighted=weighted,
         noise_given=measurement_noise is not None,
     )
-    return Component(
+    made = Component(
         name=name or f"{model.name}_pseudospectral",
         description=(
             f"Pseudospectral moving-horizon observer for {model.name} (Gong, Ross & Kang 2007), "
@@ -189,6 +190,7 @@ def pseudospectral(
         counters=tuple(port.name for port in ports.COUNTERS),
         documentation=_documentation(model, chosen, sample_time, cost),
     )
+    return with_linear_inputs(made, model, sample_time)
 
 
 def _documentation(model: Model, chosen: Structure, sample_time: float, cost: str) -> str:

@@ -25,6 +25,7 @@ from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
 from observers.free_motion import FreeMotion, accurate_step, free_motion
+from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import Linearisation, linearisation, refuse_undetectable, step_along
 from observers.model import Model, refuse
 from observers.riccati import steps
@@ -110,7 +111,7 @@ def riccati(
         stiff = asked or exponential > min(sample_time, explicit)
     v = steps.parts(model, line, chosen, known, stiff)
     shown = _shown(v, "Q" in expose)
-    return Component(
+    made = Component(
         name=name or f"{model.name}_riccati",
         description=f"Riccati observer for {model.name} (James & Baras 1987)",
         start=steps.start(v),
@@ -145,6 +146,7 @@ def riccati(
         counters=tuple(port.name for port in ports.COUNTERS),
         documentation=_documentation(model, known, stiff),
     )
+    return with_linear_inputs(made, model, sample_time)
 
 
 def _shown(v: steps.Parts, with_Q: bool) -> list[ca.MX]:

@@ -21,6 +21,7 @@ from collections.abc import Mapping
 from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
+from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import prediction_step, refuse_unobservable
 from observers.model import Model, ModelError, refuse
 from observers.tables import refuse_tables_that_end
@@ -83,7 +84,7 @@ def ukf(
         *TUNING,
     )
     v = steps.parts(model, measurement_noise is not None)
-    return Component(
+    made = Component(
         name=name or f"{model.name}_ukf",
         description=f"Square-root unscented Kalman filter for {model.name}",
         start=steps.start(v),
@@ -112,3 +113,4 @@ def ukf(
             "unknown parameter freezes once it is believed. <code>diagnostics.std.*</code> is the estimate's own standard deviation.</p>"
         ),
     )
+    return with_linear_inputs(made, model, sample_time)

@@ -69,7 +69,7 @@ def test_every_port_acts_where_it_belongs() -> None:
 
 @pytest.mark.parametrize("substep", [0.05, 0.4])
 def test_input_derivatives_move_the_inputs_within_the_step_and_no_further(substep: float) -> None:
-    """Flow holds its inputs over a substep, at their values in its middle: exact where the rate is linear in them."""
+    """Exact where the rate is linear in the inputs and in nothing else: their integral is that of the line."""
     coasting = Model(
         name="coasting",
         states=[Variable("s"), Variable("v")],
@@ -84,6 +84,31 @@ def test_input_derivatives_move_the_inputs_within_the_step_and_no_further(subste
     assert run.get("x.s") == pytest.approx(2.0 * 0.4 - 0.25 * 0.4**2 / 2, abs=1e-15)
     run.step(3.4, 0.4)
     assert run.get("x.v") == pytest.approx(0.44 + 1.0 * 0.4, abs=1e-15)
+
+
+def test_changing_inputs_move_a_plant_with_order_4_in_its_substeps() -> None:
+    u, slope, start = 0.5, 3.0, [0.3, -0.2]
+    pendulum = Model(
+        name="driven_pendulum",
+        states=[Variable("x1", start=start[0]), Variable("x2", start=start[1])],
+        inputs=[Variable("u")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [x.x2, -4 * ca.sin(x.x1) - u.u * x.x1 + u.u],
+        output=lambda x, u, p, t: [x.x1],
+    )
+
+    def rate(t: float, x: np.ndarray) -> list[float]:
+        now = u + slope * t
+        return [x[1], -4 * math.sin(x[0]) - now * x[0] + now]
+
+    truth = solve_ivp(rate, (0, 0.8), start, method="DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    errors = []
+    for substep in (0.2, 0.1, 0.05):
+        run = Instance(plant(pendulum, max_step=substep), inputs={"u": u})
+        run.step(0.0, 0.8, np.array([slope]))
+        errors.append(np.max(np.abs([run.get("x.x1"), run.get("x.x2")] - truth)))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(np.abs(orders - 4) < 0.3), (errors, orders)
 
 
 def test_parameters_have_the_bounds_units_and_start_values_of_the_model() -> None:
