@@ -50,6 +50,9 @@ PROBATION = 1000.0  # the same after a restart of a paper's design, which follow
 # Samples in a row that fit until trust can be lost for longer; of a paper's design, which converges slowly.
 EARNED, SLOWLY_EARNED = 20, 150
 MEMORY = 100  # samples, of `level`
+# Times the level, what a sample that contradicts counts at most: cut lower, squares of Gaussian innovations have so small a mean that they
+# would contradict the level for ever.
+HEARD = 4.0
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
@@ -78,6 +81,7 @@ class Watch:
     def state(self) -> Layout:
         single = (
             "level",
+            "learnt",
             "unit",
             "peak",
             "quiet",
@@ -125,6 +129,10 @@ class Watch:
         least = ca.DM([(ROUNDING if self.known else UNSAID) * v.nominal for v in self.model.outputs])
         return ca.fmax(level, ca.mmax(least**2 / ca.fmax(variances, 1e-300)))
 
+    def _doubtful(self, learnt: Any) -> Any:
+        """By how much a level that so many samples told may be too small: two standard deviations of their mean square."""
+        return 1 + 2 * ca.sqrt(2 / ca.fmax(learnt * len(self.model.outputs), 1))
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -155,7 +163,7 @@ def verdict(
         tuning: with `false_alarm` and `gate`.
     """
     s = watch.state.unpack(memory)
-    unit = watch._unit(1 if watch.known else s.level, variances)
+    unit = watch._unit(1 if watch.known else s.level * watch._doubtful(s.learnt), variances)
     each = innovation**2 / ca.fmax(variances, 1e-300)
     whole = squared + ca.sum1(ca.if_else(outlying, each, 0))
     dof = ca.sum1(valid)
@@ -185,9 +193,11 @@ def verdict(
     tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + again, MOST_TRIES), 0)
     turn = ca.if_else(again, ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
     beginning = 0 if watch.known else ca.logic_and(s.restarted == 0, s.age < FINDING)
-    most = ca.if_else(beginning, HUGE, ca.if_else(raised, 2.0, LARGEST) * s.level)
+    most = ca.if_else(beginning, HUGE, ca.if_else(raised, HEARD, LARGEST) * s.level)
     heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
-    rate = 1 / ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, ca.fmin(s.age + 1, MEMORY))
+    growing = ca.if_else(beginning, (s.age + 3) / 3, ca.fmin(s.age + 1, MEMORY))
+    memory_of = ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, growing)
+    rate = 1 / ca.if_else(ca.logic_and(raised, ca.logic_not(beginning)), 2 * MEMORY, memory_of)
     level = ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
     peak = ca.if_else(beginning, ca.fmax(s.peak, level), s.peak)
     level = ca.fmax(level, 1) if watch.known else ca.fmin(level, MOST_LEVEL * peak)
@@ -195,6 +205,7 @@ def verdict(
         {
             "tests": ca.if_else(again, 0, result.memory),
             "level": level,
+            "learnt": s.learnt + (dof > 0),
             "unit": 1 if watch.known else watch._unit(level, variances),
             "peak": peak,
             "doubt": ca.if_else(again, 0, doubt),

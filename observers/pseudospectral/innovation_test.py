@@ -70,8 +70,11 @@ def start() -> dict[str, Any]:
 
 
 def patience(method: Method) -> int:
-    """Samples for which the tests must be quiet before the estimate is trusted again: the window's, or with a longer memory the tests'."""
-    return max(method.samples + 1, consistency.WINDOWS[-1] if method.arrival else 0)
+    """Samples for which the tests must be quiet before the estimate is trusted again.
+
+    The window's at least; with a longer memory all that the tests sum over, else what all but the longest of them do.
+    """
+    return max(method.samples + 1, consistency.WINDOWS[-1 if method.arrival else -2])
 
 
 def tested(method: Method, now: Any, known: Any, gap: Any, valid: Any) -> Tested:
