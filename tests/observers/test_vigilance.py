@@ -219,6 +219,24 @@ def test_a_constant_offset_and_a_slow_drift_are_found() -> None:
         assert np.mean(said[20:100]) > 0.95 and np.mean(said[150:200]) < 0.2
 
 
+@pytest.mark.parametrize("make", [ukf, riccati])
+def test_innovations_of_a_wide_first_covariance_do_not_make_a_noise_that_nobody_gave_too_small(
+    make: Callable[..., Component],
+) -> None:
+    """Next to the first covariance the first innovations are small; a scale taken from them is one that all later samples contradict."""
+    component = make(LINEAR, sample_time=TS, initial_std={"p": 10.0, "v": 10.0}, process_noise={"p": 0.0, "v": 0.3})
+    F = expm(A * TS)
+    for seed in (1, 6, 10):
+        rng, run, trusted = np.random.default_rng(seed), Instance(component), []
+        x = rng.normal(size=2)
+        for k in range(200):
+            run.set("y", x[0] + 0.1 * rng.normal())
+            run.step(k * TS, TS)
+            trusted.append(run.get("diagnostics.trusted"))
+            x = F @ x + [0.0, 0.3 * math.sqrt(TS) * rng.normal()]
+        assert np.mean(trusted[60:]) > 0.98, seed
+
+
 def test_bounds_do_not_hide_a_number_that_is_none() -> None:
     variables = [Variable("a", min=0.0, max=1.0), Variable("b")]
     x = ca.SX.sym("x", 2)
