@@ -6,7 +6,7 @@ import lzma
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -62,8 +62,10 @@ def opened(path: Path, kind: str) -> Iterator[zipfile.ZipFile]:
         raise SystemFileError(f"{path}: the file is damaged ({error or type(error).__name__})") from None
 
 
-def parsed(archive: zipfile.ZipFile, member: str, label: str) -> etree._Element:
-    """The root of an XML file in `archive`, which messages call `label`.
+def parsed(
+    archive: zipfile.ZipFile, member: str, label: str, declared: Callable[[bytes], bytes] = bytes
+) -> etree._Element:
+    """The root of an XML file in `archive`, which messages call `label`; `declared` may complete its text before.
 
     Raises:
         SystemFileError: it is missing, too large, not well-formed (with its line), or defines entities.
@@ -76,7 +78,8 @@ def parsed(archive: zipfile.ZipFile, member: str, label: str) -> etree._Element:
         raise SystemFileError(f"{label}: {member} has {size / 2**20:.0f} MiB, more than {LARGEST_XML / 2**20:.0f} MiB")
     try:
         # No entities, no network: the file may come from anywhere.
-        root = etree.fromstring(archive.read(member), etree.XMLParser(resolve_entities=False, no_network=True))
+        parser = etree.XMLParser(resolve_entities=False, no_network=True)
+        root = etree.fromstring(declared(archive.read(member)), parser)
     except etree.XMLSyntaxError as error:
         said = str(error.msg).partition("\n")[0]  # the parser repeats the place on a line of its own
         raise SystemFileError(f"{label}: {member}, line {error.lineno}: {said}") from None

@@ -23,6 +23,10 @@ FAILURES = (
     "set_for_ever",
     "noise",
     "report_tolerance",
+    "garble",
+    "lose",
+    "log_for_ever",
+    "obey_me",
 )
 UNITS = {
     "m": '<BaseUnit m="1"/>',

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import re
 import zipfile
 from dataclasses import dataclass, field
 from functools import cache
@@ -24,6 +25,8 @@ NAMESPACES = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "ssm": SSM, "osp": OSP}
 STRUCTURE = "SystemStructure.ssd"
 OSP_ANNOTATION = "com.opensimulationplatform"
 
+# The first tag, if its prefix is one of ours.
+_ROOT = re.compile(rb"<(?P<name>(?P<prefix>ssd|ssv|ssm):\w+)[^>]*>")
 DEEPEST = 16  # systems in systems: a file that holds itself never ends otherwise
 
 
@@ -64,7 +67,7 @@ class Package:
         Raises:
             SystemFileError: there is no such member, or it is no such file (with its line).
         """
-        root = parsed(self.archive, member, self.label)
+        root = parsed(self.archive, member, self.label, _declared)
         validate(root, schema, f"{self.label}: {member}")
         return root
 
@@ -101,6 +104,15 @@ def validate(element: etree._Element, schema: str, where: str) -> None:
             reason = reason.replace(f"{{{namespace}}}", "")
         more = " (the file is of SSP 2.0: only what SSP 1.0 has, too, is supported)" if later else ""
         raise SystemFileError(f"{where}, line {problem.line}: {reason}{more}")
+
+
+def _declared(text: bytes) -> bytes:
+    """The text of a file whose root has a prefix of SSP that it does not declare, as in parameter sets of Ecos's demonstrations."""
+    root = _ROOT.search(text)
+    if root is None or f"xmlns:{root['prefix'].decode()}".encode() in root[0]:
+        return text
+    at, namespace = root.end("name"), NAMESPACES[root["prefix"].decode()]
+    return text[:at] + f' xmlns:{root["prefix"].decode()}="{namespace}"'.encode() + text[at:]
 
 
 @cache

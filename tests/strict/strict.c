@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "fmi2Functions.h"
 
@@ -13,7 +14,8 @@
 enum { U, Y, GAIN, FAIL_TIME, N_REALS };
 enum { N, M, FAILURE, E, F, N_INTEGERS };
 enum { B, C, N_BOOLEANS };
-enum { NONE, EXIT, CRASH, ENDLESS, PENDING_FOR_EVER, PENDING_ONCE, ABORT_AT_GET, SET_FOR_EVER, NOISE, REPORT_TOLERANCE };
+enum { NONE, EXIT, CRASH, ENDLESS, PENDING_FOR_EVER, PENDING_ONCE, ABORT_AT_GET, SET_FOR_EVER, NOISE, REPORT_TOLERANCE,
+       GARBLE, LOSE, LOG_FOR_EVER, OBEY_ME };
 
 typedef enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED } Phase;
 
@@ -26,11 +28,13 @@ typedef struct {
     int integers[N_INTEGERS], booleans[N_BOOLEANS], polls;
 } Instance;
 
-static fmi2Status refuse(Instance *self, const char *text)
+static fmi2Status say(Instance *self, fmi2Status status, const char *text)
 {
-    self->callbacks.logger(self->callbacks.componentEnvironment, self->name, fmi2Error, "logStatusError", text);
-    return fmi2Error;
+    self->callbacks.logger(self->callbacks.componentEnvironment, self->name, status, "logStatusError", text);
+    return status;
 }
+
+static fmi2Status refuse(Instance *self, const char *text) { return say(self, fmi2Error, text); }
 
 static void follow(Instance *self)
 {
@@ -196,6 +200,19 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean keep)
             break;
         case PENDING_FOR_EVER:
             return fmi2Pending;
+        case GARBLE: /* whatever pipes its process has open */
+            for (int i = 3; i < 32; i++)
+                if (lseek(i, 0, SEEK_CUR) < 0)
+                    (void)!write(i, "\xee\xee\xee\xee\xee\xee\xee\xee\xee\xee\xee\xee", 12);
+            abort();
+        case LOSE: /* what lies beside its folder */
+            (void)!system("rm -rf ../*");
+            break;
+        case LOG_FOR_EVER:
+            for (;;)
+                say(self, fmi2Warning, "again");
+        case OBEY_ME:
+            return refuse(self, "a line\nand another \x1b[31m");
         case NOISE:
             for (int i = 0; i < 1000; i++)
                 puts("a line that nobody asked for");

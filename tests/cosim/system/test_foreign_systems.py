@@ -191,7 +191,9 @@ def test_an_input_file_drives_the_systems_inputs_and_unconnected_ones(open_syste
     with pytest.raises(ExperimentError, match=r"short\.csv: holds times from 0 to 0\.5 s, the run goes from 0 to 1 s"):
         run(open_system, inputs=tmp_path / "short.csv")
     write_columns({"time": times, "other": times}, tmp_path / "none.csv")
-    with pytest.raises(ExperimentError, match=r"none\.csv: no column feeds an input \(other\)"):
+    with pytest.raises(
+        ExperimentError, match=r"none\.csv: no column feeds an input; there are reach, a\.n, a\.e, a\.b and 4 more"
+    ):
         run(open_system, inputs=tmp_path / "none.csv")
     with pytest.raises(ExperimentError, match=r"nowhere\.csv: No such file"):
         run(open_system, inputs=tmp_path / "nowhere.csv")
@@ -352,3 +354,14 @@ def test_files_of_ssp_2_run_with_what_ssp_1_has_and_are_refused_by_name_with_mor
     later = system(component("a", "m.fmu", connector("u", "input", "<ssc:Float64/>")))
     with pytest.raises(SystemFileError, match=r"Float64.* \(the file is of SSP 2\.0"):
         run(pack(tmp_path / "x.ssp", ssd(later, version="2.0"), fmus))
+
+
+def test_a_parameter_file_that_does_not_declare_ssps_prefix_is_read(fmus: dict[str, Path], tmp_path: Path) -> None:
+    values = '<?xml version="1.0" encoding="UTF-8"?>\n<ssv:ParameterSet version="1.0" name="initialValues"><ssv:Parameters>{}'
+    values += "</ssv:Parameters></ssv:ParameterSet>"
+    bound = '<ssd:ParameterBinding source="ssv/a.ssv"/>'
+    path, structure = tmp_path / "x.ssp", ssd(system(component("a", "plain.fmu", U + Y, bound)))
+    parameter = '<ssv:Parameter name="u"><ssv:Real value="4"/></ssv:Parameter>'
+    assert run(pack(path, structure, fmus, {"ssv/a.ssv": values.format(parameter)}))["a.y"][-1] == 4
+    with pytest.raises(SystemFileError, match=r"a\.ssv, line 2: Namespace prefix x on Parameter is not defined"):
+        run(pack(path, structure, fmus, {"ssv/a.ssv": values.format('<x:Parameter name="u"/>')}))
