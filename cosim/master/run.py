@@ -23,8 +23,8 @@ from cosim.master.signals import Signal, checked, sampled
 from cosim.master.slave import CALLS, TERMINATE, RunError, Slave
 from cosim.master.stepping import initialise, step_all
 from cosim.results import Result
-from cosim.system import System, read_ssp
-from cosim.system.resolve import find_variable, resolve
+from cosim.system import System
+from cosim.system.resolve import find_variable, resolve, resolve_ssp
 from cosim.system.resolved import ResolvedSystem
 from cosim.system.transformation import apply
 
@@ -114,9 +114,7 @@ def prepare(
     allocate: Allocate = allocate,
 ) -> Prepared:
     """Everything about a run that can be wrong before an FMU is loaded. Arguments and errors as of `run`; `directory` is for its FMUs."""
-    if not isinstance(system, System):
-        system = read_ssp(Path(system), directory)
-    resolved = resolve(system)
+    resolved = resolve(system) if isinstance(system, System) else resolve_ssp(Path(system), directory)
     stop, step = resolved.experiment(stop, step)
     start, overrides = resolved.system.start, overrides or {}
     steps = count_steps(start, stop, step)

@@ -101,7 +101,9 @@ class Child:
                 if not isinstance(error, (SystemFileError, ExperimentError, RunError)):
                     self._kill()  # Ctrl-C: nothing goes on behind our back
                 if isinstance(error, (SystemFileError, ExperimentError)) and isinstance(whole, Path):
-                    raise type(error)(str(error).replace(str(whole), str(system))) from None  # as the caller calls it
+                    # Files in it are the caller's by its name, and it is called as the caller does.
+                    text = str(error).replace(f"{folder}/", f"{whole}: ").replace(str(whole), str(system))
+                    raise type(error)(text) from None
                 raise
 
     def _send(self, request: Request) -> None:
