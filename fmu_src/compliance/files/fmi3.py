@@ -132,8 +132,7 @@ def check_definitions(root: etree._Element) -> Iterator[Finding]:
                 name = element.get("name", "")
                 yield finding("enumeration-items", name, f"different {attribute}s", f"'{value}' more than once")
     items_of = {
-        element.get("name", ""): [int(item.get("value", "0")) for item in element.iterfind("Item")]
-        for element in types
+        element.get("name", ""): [int(item.get("value", "0")) for item in element.iterfind("Item")] for element in types
     }
     kinds = {element.get("name", ""): str(element.tag).removesuffix("Type") for element in types}
     for variable in _elements(root):
