@@ -14,7 +14,7 @@ import pytest
 from cosim.master import watched
 from cosim.masters import process
 from cosim.masters.experiment import MasterError, Recording
-from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
+from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd, system
 from strict_fmu import FAILURES
 
 Strict = Callable[..., Path]
@@ -24,14 +24,6 @@ TOOLS = ("ecos", "libcosim")
 
 def reals(**values: float) -> str:
     return binding({name: f'<ssv:Real value="{value}"/>' for name, value in values.items()})
-
-
-def system(elements: str, connections: str = "", connectors: str = "") -> str:
-    return (
-        (f"<ssd:Connectors>{connectors}</ssd:Connectors>" if connectors else "")
-        + f"<ssd:Elements>{elements}</ssd:Elements>"
-        + (f"<ssd:Connections>{connections}</ssd:Connections>" if connections else "")
-    )
 
 
 @pytest.fixture
