@@ -28,6 +28,7 @@ OSP_ANNOTATION = "com.opensimulationplatform"
 # The first tag, if its prefix is one of ours.
 _ROOT = re.compile(rb"<(?P<name>(?P<prefix>ssd|ssv|ssm):\w+)[^>]*>")
 DEEPEST = 16  # systems in systems: a file that holds itself never ends otherwise
+MOST_ELEMENTS = 100_000  # systems that hold others several times multiply
 
 
 @dataclass
@@ -40,7 +41,8 @@ class Package:
         directory: where its FMUs are written.
         depth: how many .ssp files it lies in.
         inflated: bytes written so far, by it and by what it lies in: one list for all.
-        version: of the .ssd file, "1.0" or "2.0".
+        elements: elements read so far, likewise.
+        written: the members in the directory.
     """
 
     archive: zipfile.ZipFile
@@ -48,7 +50,8 @@ class Package:
     directory: Path
     depth: int = 0
     inflated: list[int] = field(default_factory=lambda: [0])
-    version: str = "1.0"
+    elements: list[int] = field(default_factory=lambda: [0])
+    written: dict[str, Path] = field(default_factory=dict)
 
     def member(self, source: str, base: str = "") -> str:
         """The archive's member that a URI relative to the file `base` means.
@@ -72,17 +75,20 @@ class Package:
         return root
 
     def extract(self, member: str) -> Path:
-        """Write a member into the directory.
+        """Write a member into the directory, the first time that it is asked for.
 
         Raises:
             SystemFileError: this file and those that it lies in would inflate beyond the limit.
         """
+        if member in self.written:
+            return self.written[member]
         self.inflated[0] += self.archive.getinfo(member).file_size
         if self.inflated[0] > LARGEST:
             raise SystemFileError(
                 f"{self.label}: more than {LARGEST / 2**30:g} GiB when inflated, the most that is unpacked"
             )
-        return Path(self.archive.extract(member, self.directory))
+        self.written[member] = Path(self.archive.extract(member, self.directory))
+        return self.written[member]
 
 
 def validate(element: etree._Element, schema: str, where: str) -> None:

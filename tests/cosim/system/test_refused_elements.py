@@ -9,6 +9,7 @@ import pytest
 
 from cosim.errors import SystemFileError
 from cosim.master import run
+from cosim.system import read_ssp, ssp_files, ssp_structure
 from ssp_text import binding, component, connection, connector, pack, ssd, system
 
 Strict = Callable[..., Path]
@@ -81,3 +82,27 @@ def test_signal_dictionaries_are_refused(fmus: dict[str, Path], tmp_path: Path) 
     text = ssd(system(component("a", "m.fmu")) + dictionary)
     with pytest.raises(SystemFileError, match=r"line \d+: SignalDictionaries are not supported"):
         run(pack(tmp_path / "x.ssp", text, fmus))
+
+
+def test_systems_that_multiply_are_refused_before_they_fill_the_memory(
+    fmus: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten times the next one in each of ten systems: ten thousand million elements in a file of a few lines."""
+    monkeypatch.setattr(ssp_structure, "MOST_ELEMENTS", 1000)
+    levels = ""
+    for level in range(10):
+        inner = "".join(component(f"e{i}", "", kind="application/x-ssp-definition") for i in range(10))
+        inner = inner.replace('source="resources/"', f'source="#s{level + 1}"')
+        levels += f'<ssd:System name="s{level}" id="s{level}"><ssd:Elements>{inner}</ssd:Elements></ssd:System>'
+    last = f'<ssd:System name="s10" id="s10"><ssd:Elements>{component("a", "m.fmu")}</ssd:Elements></ssd:System>'
+    with pytest.raises(SystemFileError, match="more than 1000 elements, those of nested systems included"):
+        run(pack(tmp_path / "x.ssp", ssd(f"<ssd:Elements>{levels}{last}</ssd:Elements>"), fmus))
+
+
+def test_an_fmu_of_many_elements_is_unpacked_and_counted_once(
+    fmus: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ssp_files, "LARGEST", fmus["m.fmu"].stat().st_size)
+    content = "".join(component(f"e{i}", "m.fmu") for i in range(50))
+    made = read_ssp(pack(tmp_path / "x.ssp", ssd(system(content)), fmus), tmp_path / "out")
+    assert len(made.elements) == 50 and len({element.fmu for element in made.elements.values()}) == 1
