@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 from rich.table import Table as ConsoleTable
 
-from commands.console import fail, out
+from commands.console import CallLimit, fail, out
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master.slave import RunError
+from cosim.master.watched import LIMIT as CALL_LIMIT
 from cosim.masters.comparison import LIMIT, MASTERS, differences, largest, record_all
 from cosim.masters.experiment import MasterError, Recording
 from cosim.results import write_columns
@@ -25,6 +26,7 @@ def compare(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Where <tool>.csv of each goes.", show_default="not written"),
     ] = None,
+    limit: CallLimit = CALL_LIMIT,
 ) -> None:
     """Run a system in several tools; print the largest difference of each variable. Fails above 1e-12 (relative).
 
@@ -33,7 +35,7 @@ def compare(
       observer-fmus compare systems/gong_example_1.ssp --masters fmpy,ecos
     """
     try:
-        recordings = record_all(system, [name.strip() for name in masters.split(",")])
+        recordings = record_all(system, [name.strip() for name in masters.split(",")], limit)
     except (SystemFileError, ExperimentError) as error:
         fail(str(error), 2)
     except (RunError, MasterError) as error:

@@ -12,7 +12,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from cosim.errors import one_line
+
 SHOW_PROGRESS_AFTER = 1.5  # [s]
+SHOWN = 300  # characters of what an FMU says
 ELEMENT_FORM = "ELEMENT.VARIABLE=VALUE"
 
 out = Console()
@@ -48,7 +51,7 @@ def split_assignments(texts: list[str] | None, option: str = "--set", form: str 
 
 def say(message: str) -> None:
     """One red line on stderr."""
-    err.print(Text(f"error: {' '.join(message.split())}", style="red"), soft_wrap=True)
+    err.print(Text(f"error: {one_line(message)}", style="red"), soft_wrap=True)
 
 
 def fail(message: str, code: int) -> NoReturn:

@@ -10,10 +10,11 @@ import numpy as np
 import typer
 from rich.text import Text
 
-from commands.console import fail, late_progress, out, split_assignments
+from commands.console import SHOWN, CallLimit, fail, late_progress, out, split_assignments
 from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, how_read, reading
-from cosim.errors import ExperimentError, SystemFileError
+from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.master.slave import RunError
+from cosim.master.watched import LIMIT
 from cosim.replay import Replay
 from cosim.replay import replay as perform
 from cosim.report.page import Table, write_report
@@ -60,6 +61,7 @@ def replay(
     missing: Missing = None,
     skip_lines: SkipLines = 0,
     skip_bad_rows: SkipBadRows = False,
+    limit: CallLimit = LIMIT,
 ) -> None:
     """Run an observer over a recorded file; write estimates.csv (all outputs at each sample instant) and report.html.
 
@@ -78,6 +80,7 @@ def replay(
                 reading=reading(separator, decimal, encoding, missing, skip_lines, skip_bad_rows),
                 overrides=split_assignments(assignments, "--set", "VARIABLE=VALUE"),
                 progress=progress,
+                limit=limit,
             )
     except (SystemFileError, ExperimentError) as error:
         fail(str(error), 2)
@@ -147,7 +150,7 @@ def _facts(made: Replay) -> list[str]:
         facts.append(f"Inputs without a column kept their value: {', '.join(made.kept)}.")
     warnings = [message for message in made.result.messages if message.status != "ok"]
     if warnings:
-        facts.append(f"The FMU warned {len(warnings)} times, first: {warnings[0].text}")
+        facts.append(f"The FMU warned {len(warnings)} times, first: {one_line(warnings[0].text, SHOWN)}")
     return facts
 
 

@@ -10,8 +10,8 @@ import typer
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import Assignments, CallLimit, fail, late_progress, out, split_assignments
-from cosim.errors import ExperimentError, SystemFileError
+from commands.console import SHOWN, Assignments, CallLimit, fail, late_progress, out, split_assignments
+from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.master.watched import run as run_system
@@ -109,10 +109,9 @@ def _summarise(result: Result, directory: Path) -> None:
     if warnings:
         first = warnings[0]
         noun = "warning" if len(warnings) == 1 else "warnings"
-        out.print(
-            Text(f"{len(warnings)} {noun}, the first by {first.element}: {first.text}", style="yellow"), soft_wrap=True
-        )
+        told = f"{len(warnings)} {noun}, the first by {first.element}: {one_line(first.text, SHOWN)}"
+        out.print(Text(told, style="yellow"), soft_wrap=True)
     for note in result.notes:
-        out.print(Text(f"note: {note}", style="yellow"), soft_wrap=True)
+        out.print(Text(f"note: {one_line(note, SHOWN)}", style="yellow"), soft_wrap=True)
     for file in ("results.csv", "report.html"):
         out.print(Text(str(directory / file)), soft_wrap=True)

@@ -6,7 +6,7 @@ import lzma
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,7 +15,10 @@ from lxml import etree
 from cosim.errors import SystemFileError, not_a_file
 
 LARGEST = 4 * 2**30  # bytes of all members of a file, inflated
-LARGEST_XML = 2**28  # bytes; a description of 100,000 variables takes 50 MB
+LARGEST_XML = 2**27  # bytes; a description of 100,000 variables takes 50 MB
+MOST_MARKS = (
+    3_000_000  # tags and attributes of an XML file: each takes up to 220 bytes of memory, and a few of the file's
+)
 
 # What zipfile raises at damaged files, besides BadZipFile: by compression, encryption, names, and numbers that lie.
 _DAMAGES = (
@@ -62,8 +65,10 @@ def opened(path: Path, kind: str) -> Iterator[zipfile.ZipFile]:
         raise SystemFileError(f"{path}: the file is damaged ({error or type(error).__name__})") from None
 
 
-def parsed(archive: zipfile.ZipFile, member: str, label: str) -> etree._Element:
-    """The root of an XML file in `archive`, which messages call `label`.
+def parsed(
+    archive: zipfile.ZipFile, member: str, label: str, declared: Callable[[bytes], bytes] = bytes
+) -> etree._Element:
+    """The root of an XML file in `archive`, which messages call `label`; `declared` may complete its text before.
 
     Raises:
         SystemFileError: it is missing, too large, not well-formed (with its line), or defines entities.
@@ -74,9 +79,14 @@ def parsed(archive: zipfile.ZipFile, member: str, label: str) -> etree._Element:
         raise SystemFileError(f"{label}: there is no {member} in it") from None
     if size > LARGEST_XML:
         raise SystemFileError(f"{label}: {member} has {size / 2**20:.0f} MiB, more than {LARGEST_XML / 2**20:.0f} MiB")
+    content = archive.read(member)
+    marks = content.count(b"<") + content.count(b"=")
+    if marks > MOST_MARKS:
+        raise SystemFileError(f"{label}: {member} has {marks} tags and attributes, more than {MOST_MARKS}")
     try:
         # No entities, no network: the file may come from anywhere.
-        root = etree.fromstring(archive.read(member), etree.XMLParser(resolve_entities=False, no_network=True))
+        parser = etree.XMLParser(resolve_entities=False, no_network=True)
+        root = etree.fromstring(declared(content), parser)
     except etree.XMLSyntaxError as error:
         said = str(error.msg).partition("\n")[0]  # the parser repeats the place on a line of its own
         raise SystemFileError(f"{label}: {member}, line {error.lineno}: {said}") from None

@@ -15,6 +15,23 @@ class ExperimentError(ValueError):
     """What was asked of a system is impossible: an unknown variable, a value of the wrong kind, an unfit step."""
 
 
+def number(text: str) -> float:
+    """The number that `text` is. Python's float also takes 1_0.5 and the digits of all alphabets.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(f"'{text}' is not a number")
+    return float(text)
+
+
+def one_line(text: str, most: int = 0) -> str:
+    """`text` as one line of characters that a terminal shows and does not obey; cut to `most` characters, if that is not 0."""
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+    return f"{line[:most]} ..." if most and len(line) > most else line
+
+
 def not_a_file(path: Path) -> str:
     """The error message about a `path` that is no file."""
     return f"{path}: is a folder, where a file is wanted" if path.is_dir() else f"{path}: there is no such file"

@@ -11,7 +11,7 @@ from fmpy.model_description import ModelDescription, ModelVariable, read_model_d
 from lxml import etree
 
 from cosim.archive import opened, parsed
-from cosim.errors import SystemFileError
+from cosim.errors import SystemFileError, number
 
 Value = float | int | bool | str
 
@@ -100,7 +100,7 @@ def typed_value(variable: ModelVariable, value: Value) -> Value:
         )
     match variable.type:
         case "Real":
-            made: Value = _number(variable, value)
+            made: Value = as_number(variable, value)
         case "Integer":
             made = _whole(variable, value)
         case "Enumeration":
@@ -117,28 +117,33 @@ def _article(word: str) -> str:
     return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 
 
-def _number(variable: ModelVariable, value: Value) -> float:
+def as_number(variable: ModelVariable, value: Value) -> float:
+    """`value` as a number for `variable`, whatever its limits.
+
+    Raises:
+        ValueError: it is none.
+    """
     try:
-        return float(value)
+        return number(value) if isinstance(value, str) else float(value)
     except ValueError:
         raise ValueError(f"'{variable.name}' is {_article(variable.type)}: '{value}' is not a number") from None
 
 
 def _whole(variable: ModelVariable, value: Value) -> int:
-    number = _number(variable, value)
-    if not number.is_integer():  # NaN and infinities neither
+    found = as_number(variable, value)
+    if not found.is_integer():  # NaN and infinities neither
         raise ValueError(f"'{variable.name}' is an Integer: {value} is not a whole number")
-    if not -INTEGER_LIMIT <= number < INTEGER_LIMIT:
+    if not -INTEGER_LIMIT <= found < INTEGER_LIMIT:
         raise ValueError(f"'{variable.name}' is an Integer: {value} is beyond 32 bits")
-    return int(number)
+    return int(found)
 
 
 def _item(variable: ModelVariable, value: Value) -> int:
     items = enumeration_items(variable)
-    for number, name in items.items():
-        if value in (name, number, str(number)):
-            return number
-    known = ", ".join(f"{name} ({number})" for number, name in items.items())
+    for item, name in items.items():
+        if value in (name, item, str(item)):
+            return item
+    known = ", ".join(f"{name} ({item})" for item, name in items.items())
     raise ValueError(f"'{variable.name}' is an Enumeration: '{value}' is none of {known}")
 
 

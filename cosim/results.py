@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from cosim.errors import suggest
+from cosim.errors import number, suggest
 from cosim.whole import whole
 
+MOST_MESSAGES = 100_000  # that are kept
+LONGEST_MESSAGE = 1000  # characters of them
 ROWS_AT_ONCE = 10_000  # that are written to a CSV file
 
 
@@ -23,6 +26,15 @@ class Message(NamedTuple):
     status: str
     category: str
     text: str
+
+
+class Messages(list[Message]):
+    """What FMUs log in a run: the first MOST_MESSAGES, the last of which gives way to each later one."""
+
+    def append(self, message: Message) -> None:
+        if len(self) >= MOST_MESSAGES:
+            self.pop()
+        super().append(message._replace(text=message.text[:LONGEST_MESSAGE]))
 
 
 @dataclass(frozen=True)
@@ -40,7 +52,7 @@ class Result:
         kinds: "Real", "Integer", "Boolean" or "Enumeration", by column name.
         items: for enumerations, by column name, the item names by their values.
         step_ns: (n - 1,) wall time of each fmi2DoStep [ns], by element.
-        messages: what the FMUs logged, in order.
+        messages: what the FMUs logged, in order, as of `Messages`.
         sources: for each element those whose outputs drive its inputs.
         notes: what whoever reads the numbers should know of how they came about, a line each.
     """
@@ -92,18 +104,34 @@ def write_columns(columns: Mapping[str, np.ndarray], path: Path) -> None:
             writer.writerows(zip(*rows, strict=True))
 
 
-def read_csv(path: Path) -> dict[str, np.ndarray]:
-    """The columns (n,) of a file that `write_columns` made, `time` included, by name.
+def read_csv(path: Path, wanted: Collection[str] | None = None) -> dict[str, np.ndarray]:
+    """The columns (n,) of a file that `write_columns` made, `time` first, by name; of the others those in `wanted` (None: all).
 
     Raises:
-        ValueError: not such a file; the message names the file and what is wrong.
+        ValueError: not such a file; the message names the file, the line and what is wrong.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.reader(file))
-    if not rows or rows[0][:1] != ["time"]:
-        raise ValueError(f"{path}: the first line does not start with 'time'")
     try:
-        table = np.array(rows[1:], dtype=float).reshape(len(rows) - 1, len(rows[0]))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    return dict(zip(rows[0], table.T, strict=True))
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            names = next(reader, [])
+            if names[:1] != ["time"]:
+                raise ValueError(f"{path}: the first line does not start with 'time' and a comma")
+            kept = [i for i, name in enumerate(names) if i == 0 or wanted is None or name in wanted]
+            if len({names[i] for i in kept}) < len(kept):
+                raise ValueError(f"{path}: two columns have one name")
+            columns = {names[i]: array("d") for i in kept}
+            for row in reader:
+                if len(row) != len(names):
+                    raise ValueError(
+                        f"{path}, line {reader.line_num}: {len(row)} cells under {len(names)} names of columns"
+                    )
+                for i, column in zip(kept, columns.values(), strict=True):
+                    try:
+                        column.append(number(row[i]))
+                    except ValueError:
+                        raise ValueError(
+                            f"{path}, line {reader.line_num}: {row[i][:40]!r} in the column {names[i][:40]!r} is not a number"
+                        ) from None
+    except (csv.Error, UnicodeError) as error:
+        raise ValueError(f"{path}: cannot be read as CSV text in UTF-8 ({error})") from None
+    return {name: np.array(column) for name, column in columns.items()}

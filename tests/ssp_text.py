@@ -27,6 +27,16 @@ def ssd(content: str, more: str = UNITS, version: str = "1.0", attributes: str =
 </ssd:DefaultExperiment></ssd:SystemStructureDescription>"""
 
 
+def system(elements: str, connections: str = "", connectors: str = "", bindings: str = "") -> str:
+    """What a System holds: the contents of its four elements."""
+    return (
+        (f"<ssd:Connectors>{connectors}</ssd:Connectors>" if connectors else "")
+        + (f"<ssd:ParameterBindings>{bindings}</ssd:ParameterBindings>" if bindings else "")
+        + f"<ssd:Elements>{elements}</ssd:Elements>"
+        + (f"<ssd:Connections>{connections}</ssd:Connections>" if connections else "")
+    )
+
+
 def component(name: str, fmu: str, connectors: str = "", bindings: str = "", kind: str = "") -> str:
     """A Component; `connectors` and `bindings` are what their elements hold."""
     kind = f' type="{kind}"' if kind else ""

@@ -10,7 +10,7 @@ from fmu_src.native.sources import FMI_HEADERS, fixed_sources
 from fmu_src.platforms import PLATFORMS, resolve
 
 HOST = resolve(["host"])[0]
-SOURCE = Path(__file__).parent / "strict" / "strict.c"
+SOURCES = Path(__file__).parent / "strict"
 # By their numbers, from 0: values of the parameter `failure`.
 FAILURES = (
     "none",
@@ -23,6 +23,10 @@ FAILURES = (
     "set_for_ever",
     "noise",
     "report_tolerance",
+    "garble",
+    "lose",
+    "log_for_ever",
+    "obey_me",
 )
 UNITS = {
     "m": '<BaseUnit m="1"/>',
@@ -34,12 +38,13 @@ UNITS = {
 }
 
 
-def compiled(folder: Path) -> bytes:
-    """The library, built in `folder`."""
-    (folder / "strict.c").write_text(SOURCE.read_text())
-    for name in FMI_HEADERS:
-        (folder / name).write_bytes(fixed_sources()[name])
-    return compile_library("strict", folder, HOST)
+def compiled(folder: Path, name: str = "strict") -> bytes:
+    """The library of strict/<name>.c, built in `folder`."""
+    for file in (f"{name}.c", "absent.h"):
+        (folder / file).write_text((SOURCES / file).read_text())
+    for header in FMI_HEADERS:
+        (folder / header).write_bytes(fixed_sources()[header])
+    return compile_library(name, folder, HOST)
 
 
 def description(

@@ -27,8 +27,7 @@ from cosim.fmu import Value, unit_of
 from cosim.master import count_steps, start_values
 from cosim.master.watched import LIMIT
 from cosim.report.estimates import Pair, paired
-from cosim.system import read_ssp
-from cosim.system.resolve import find_variable, resolve
+from cosim.system.resolve import find_variable, resolve_ssp
 from cosim.system.resolved import ResolvedSystem
 from cosim.whole import whole
 
@@ -109,7 +108,7 @@ def campaign(
     if scheduler is not None and workers is not None:
         raise ExperimentError("the number of workers is the cluster's: give a scheduler or workers")
     with tempfile.TemporaryDirectory(prefix="campaign-") as directory:
-        resolved = resolve(read_ssp(system, Path(directory)))
+        resolved = resolve_ssp(system, Path(directory))
     typed = start_values(resolved, overrides)
     overrides = {path: _typed(resolved, typed, path, value) for path, value in overrides.items()}
     check(vary, resolved, overrides, runs)

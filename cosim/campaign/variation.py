@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from cosim.errors import ExperimentError
+from cosim.errors import ExperimentError, number
 from cosim.fmu import INTEGER_LIMIT, Value, limits
 from cosim.master import start_values
 from cosim.system.resolve import find_variable
@@ -32,7 +32,7 @@ def parse(texts: Iterable[str]) -> dict[str, tuple[float, float] | None]:
         if path in variations:
             raise ExperimentError(f"--vary {text}: '{path}' is varied twice")
         try:
-            variations[path] = (float(low), float(high)) if colon else None
+            variations[path] = (number(low), number(high)) if colon else None
         except ValueError:
             raise ExperimentError(f"--vary {text}: '{low}' and '{high}' must be numbers") from None
     return variations

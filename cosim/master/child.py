@@ -25,10 +25,11 @@ from cosim.fmu import Value
 from cosim.master.record import Outline
 from cosim.master.run import Inputs, perform, prepare
 from cosim.master.slave import RunError
-from cosim.results import Message
+from cosim.results import MOST_MESSAGES, Message, Messages
 from cosim.system import System
 
 LENGTH = 8  # bytes that say how long a pickle is
+LONGEST = 2**31  # bytes of a pickle: the inputs of a run fill a quarter
 RECORD = "record"  # the folder of the record's files, in the folder of a run
 
 
@@ -71,11 +72,11 @@ def send(stream: BinaryIO, thing: object) -> None:
 def receive(stream: BinaryIO) -> Any:
     """The next thing; None at the end, or where what comes is no pickle of ours."""
     head = stream.read(LENGTH)
-    if len(head) < LENGTH:
+    length = int.from_bytes(head, "little")
+    if len(head) < LENGTH or length > LONGEST:
         return None
-    content = stream.read(int.from_bytes(head, "little"))
     try:
-        return pickle.loads(content)
+        return pickle.loads(stream.read(length))
     except Exception:  # an FMU wrote into our pipe
         return None
 
@@ -128,16 +129,18 @@ def _serve(request: Request, answer: Callable[[object], None]) -> Ended:
     return Ended()
 
 
-class _Told(list[Message]):
-    """The FMUs' messages; the parent is told each at once."""
+class _Told(Messages):
+    """The FMUs' messages; the parent is told each that it keeps at once."""
 
     def __init__(self, answer: Callable[[object], None]):
         super().__init__()
         self._answer = answer
 
     def append(self, message: Message) -> None:
+        more = len(self) < MOST_MESSAGES
         super().append(message)
-        self._answer(message)
+        if more:
+            self._answer(self[-1])
 
 
 def main() -> None:

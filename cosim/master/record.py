@@ -12,7 +12,7 @@ from fmpy.model_description import ModelVariable
 
 from cosim.fmu import enumeration_items, unit_of
 from cosim.master.slave import FMI_KIND, Slave, references
-from cosim.results import Message, Result
+from cosim.results import Message, Messages, Result
 from cosim.system.resolved import Connection, ResolvedSystem
 from cosim.system.transformation import Transformation, apply
 
@@ -105,7 +105,7 @@ class Record:
         allocate: Allocate = allocate,
     ):
         self.rows = 0  # that are complete
-        self.messages: list[Message] = []
+        self.messages = Messages()
         outputs = [
             (element, variable)
             for element, description in resolved.descriptions.items()

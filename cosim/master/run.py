@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from cosim.errors import ExperimentError
-from cosim.fmu import Value, typed_value, unpack
+from cosim.fmu import Value, as_number, typed_value, unpack
 from cosim.master.record import Allocate, Record, allocate
 from cosim.master.schedule import Schedule, schedule
 from cosim.master.signals import Signal, checked, sampled
 from cosim.master.slave import CALLS, TERMINATE, RunError, Slave
 from cosim.master.stepping import initialise, step_all
-from cosim.results import Result, read_csv
-from cosim.system import System, read_ssp
-from cosim.system.resolve import find_variable, resolve
+from cosim.results import Result
+from cosim.system import System
+from cosim.system.resolve import find_variable, resolve, resolve_ssp
 from cosim.system.resolved import ResolvedSystem
 from cosim.system.transformation import apply
 
@@ -114,15 +114,13 @@ def prepare(
     allocate: Allocate = allocate,
 ) -> Prepared:
     """Everything about a run that can be wrong before an FMU is loaded. Arguments and errors as of `run`; `directory` is for its FMUs."""
-    if not isinstance(system, System):
-        system = read_ssp(Path(system), directory)
-    resolved = resolve(system)
+    resolved = resolve(system) if isinstance(system, System) else resolve_ssp(Path(system), directory)
     stop, step = resolved.experiment(stop, step)
     start, overrides = resolved.system.start, overrides or {}
     steps = count_steps(start, stop, step)
     values = start_values(resolved, overrides)
     times = start + np.arange(steps + 1) * step
-    given = _read(inputs, resolved, times) if isinstance(inputs, Path) else inputs or {}
+    given = sampled(inputs, resolved, times) if isinstance(inputs, Path) else inputs or {}
     signals = checked(given, resolved, overrides, steps)
     order = schedule(resolved, [(s.element, s.variable.name) for s in signals])
     try:
@@ -211,16 +209,7 @@ def _set_connector(resolved: ResolvedSystem, name: str, value: Value, values: di
         kind = resolved.system.connectors[name].kind
         raise ValueError(f"'{name}' cannot be set: the connector, of the kind {kind}, supplies nothing")
     for s in reached:
-        given = typed_value(s.variable, value) if s.steps and s.variable.type != "Real" else value
-        given = float(given) if s.steps and s.variable.type == "Real" else given
+        given = value
+        if s.steps:  # the limits of the variable are those of what comes out
+            given = as_number(s.variable, value) if s.variable.type == "Real" else typed_value(s.variable, value)
         values[s.target][s.variable.name] = typed_value(s.variable, apply(s.steps, given))
-
-
-def _read(file: Path, resolved: ResolvedSystem, times: np.ndarray) -> dict[str, np.ndarray]:
-    try:
-        columns = read_csv(file)
-    except OSError as error:
-        raise ExperimentError(f"{file}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise ExperimentError(str(error)) from None
-    return sampled(columns, str(file), resolved, times)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from fmpy.model_description import ModelVariable
 
-from cosim.errors import ExperimentError, suggest
+from cosim.errors import ExperimentError
+from cosim.fmu import INTEGER_LIMIT, enumeration_items
 from cosim.master.record import STORED, Access
 from cosim.master.slave import FMI_KIND, Slave, references
+from cosim.results import read_csv
 from cosim.system.resolve import find_variable
-from cosim.system.resolved import ResolvedSystem
+from cosim.system.resolved import ResolvedSystem, listed
 from cosim.system.transformation import apply
 
 
@@ -46,6 +49,8 @@ def checked(
                 raise ExperimentError(f"'{path}' is no input of the system (its kind is {kind})")
             for s in resolved.supplies:
                 if s.connector == path:
+                    if s.variable.type != "Real":
+                        _check_whole(path, np.asarray(values))
                     signals.append(_signal(s.target, s.variable, apply(s.steps, np.asarray(values))))
             continue
         try:
@@ -56,13 +61,31 @@ def checked(
             raise ExperimentError(f"'{path}' is no numeric input (a {variable.type}, {variable.causality})")
         if path in drivers:
             raise ExperimentError(f"'{path}' cannot be given values: it is connected to '{drivers[path]}'")
-        signals.append(_signal(element, variable, values))
+        signals.append(_signal(element, variable, np.asarray(values)))
     return signals
 
 
 def _signal(element: str, variable: ModelVariable, values: np.ndarray) -> Signal:
+    path = f"{element}.{variable.name}"
+    if variable.type == "Boolean":
+        _check(path, values, np.isin(values, (0, 1)), "neither 0 nor 1")
+    elif variable.type == "Enumeration":
+        items = list(enumeration_items(variable))
+        _check(path, values, np.isin(values, items), f"none of {', '.join(map(str, items))}")
+    elif variable.type == "Integer":
+        _check_whole(path, values)
     stored = np.ascontiguousarray(values, dtype=STORED[FMI_KIND[variable.type]])
     return Signal(element, variable, stored, references([variable]))
+
+
+def _check_whole(path: str, values: np.ndarray) -> None:
+    fit = (values == np.rint(values)) & (values >= -INTEGER_LIMIT) & (values < INTEGER_LIMIT)
+    _check(path, values, fit, "no whole number of 32 bits")
+
+
+def _check(path: str, values: np.ndarray, fit: np.ndarray, wrong: str) -> None:
+    if not fit.all():
+        raise ExperimentError(f"'{path}' cannot take {values[int(np.argmin(fit))]:g}: it is {wrong}")
 
 
 def driving(signals: Sequence[Signal], slave: Slave, row: int = 0) -> list[Access]:
@@ -76,41 +99,42 @@ def driving(signals: Sequence[Signal], slave: Slave, row: int = 0) -> list[Acces
     return calls
 
 
-def sampled(
-    columns: Mapping[str, np.ndarray], where: str, resolved: ResolvedSystem, times: np.ndarray
-) -> dict[str, np.ndarray]:
+def sampled(file: Path, resolved: ResolvedSystem, times: np.ndarray) -> dict[str, np.ndarray]:
     """The columns of a file that feed inputs, at the communication points `times` [s], (n,).
 
-    A Real is linear between two rows, other types hold the last one. `time` [s] comes first.
+    A Real is linear between two rows, other types hold the last one.
 
     Raises:
-        ExperimentError: times that do not ascend or do not reach from the start to the stop time, no column for any input.
+        ExperimentError: a file that cannot be read, times that do not ascend or do not reach from the start to the stop time, no
+            column for any input.
     """
-    recorded = columns["time"]
-    if len(recorded) < 1 or not np.isfinite(recorded).all() or (np.diff(recorded) <= 0).any():
-        raise ExperimentError(f"{where}: the times must be finite and ascend")
-    slack = 1e-9 * max(1.0, float(np.abs(times).max()))
-    if recorded[0] > times[0] + slack or recorded[-1] < times[-1] - slack:
-        raise ExperimentError(
-            f"{where}: holds times from {recorded[0]:.10g} to {recorded[-1]:.10g} s, the run goes from {times[0]:.10g} to "
-            f"{times[-1]:.10g} s"
-        )
-    inputs = {name: c.type or "Real" for name, c in resolved.system.connectors.items() if c.kind == "input"}
+    connectors = resolved.system.connectors
+    inputs = {s.connector: s.variable.type for s in resolved.supplies if connectors[s.connector].kind == "input"}
     drivers = resolved.drivers()
     for element, variables in resolved.variables.items():
         for variable in variables.values():
             path = f"{element}.{variable.name}"
             if variable.causality == "input" and variable.type != "String" and path not in drivers:
                 inputs[path] = variable.type
-    found: dict[str, np.ndarray] = {}
-    for name in columns:
-        if name in inputs:
-            if inputs[name] == "Real":
-                found[name] = np.interp(times, recorded, columns[name])
-            else:
-                rows = np.searchsorted(recorded, times + slack, side="right") - 1
-                found[name] = columns[name][np.maximum(rows, 0)]
-    if not found:
-        names = [name for name in columns if name != "time"]
-        raise ExperimentError(f"{where}: no column feeds an input ({', '.join(names[:6])}); {suggest('', inputs)}")
-    return found
+    try:
+        columns = read_csv(file, inputs)
+    except OSError as error:
+        raise ExperimentError(f"{file}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise ExperimentError(str(error)) from None
+    recorded = columns.pop("time")
+    if not columns:
+        raise ExperimentError(f"{file}: no column feeds an input; there are {listed(list(inputs)) or 'none'}")
+    if len(recorded) < 1 or not np.isfinite(recorded).all() or (np.diff(recorded) <= 0).any():
+        raise ExperimentError(f"{file}: the times must be finite and ascend")
+    slack = 1e-9 * max(1.0, float(np.abs(times).max()))
+    if recorded[0] > times[0] + slack or recorded[-1] < times[-1] - slack:
+        raise ExperimentError(
+            f"{file}: holds times from {recorded[0]:.10g} to {recorded[-1]:.10g} s, the run goes from {times[0]:.10g} to "
+            f"{times[-1]:.10g} s"
+        )
+    rows = np.maximum(np.searchsorted(recorded, times + slack, side="right") - 1, 0)
+    return {
+        name: np.interp(times, recorded, values) if inputs[name] == "Real" else values[rows]
+        for name, values in columns.items()
+    }

@@ -17,6 +17,7 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ModelVariable
 
+from cosim.errors import one_line
 from cosim.fmu import Value
 from cosim.results import Message, Result
 
@@ -46,6 +47,7 @@ CALLS = (
     "fmi2FreeInstance",
 )
 LOAD, INSTANTIATE, SET_UP, ENTER, EXIT, SET, STEP, GET, TERMINATE, FREE = range(len(CALLS))
+LONGEST = 500  # characters of what went wrong
 _ACCESS = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
 _GET_STATUS = (ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)
 _DO_STEP = (ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
@@ -55,17 +57,17 @@ class RunError(RuntimeError):
     """An element failed.
 
     Attributes:
-        element: its name.
+        element: its name; "" where none is known to have done it.
         time: the communication point [s].
-        text: what happened.
+        text: what happened, in one line: what an FMU says may hold anything.
         partial: the record up to the failure; None if it failed before the record began.
     """
 
     def __init__(self, element: str, time: float, message: str):
-        super().__init__(f"element '{element}' at t = {time:g}: {message}")
         self.element = element
         self.time = time
-        self.text = message
+        self.text = one_line(message, LONGEST)
+        super().__init__(f"element '{element}' at t = {time:g}: {self.text}" if element else self.text)
         self.partial: Result | None = None
 
 

@@ -23,11 +23,11 @@ import numpy as np
 
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.fmu import Value
-from cosim.master.child import Begun, Ended, Request, mapped, receive, send
+from cosim.master.child import RECORD, Begun, Ended, Request, mapped, receive, send
 from cosim.master.run import NOTHING, Inputs
 from cosim.master.slave import CALLS, GET, RunError
-from cosim.python import command, environment
-from cosim.results import Message, Result
+from cosim.python import command, end, environment
+from cosim.results import Message, Messages, Result
 from cosim.system import System
 
 LIMIT = 60.0  # [s] that a call of an FMU may take
@@ -101,14 +101,21 @@ class Child:
                 if not isinstance(error, (SystemFileError, ExperimentError, RunError)):
                     self._kill()  # Ctrl-C: nothing goes on behind our back
                 if isinstance(error, (SystemFileError, ExperimentError)) and isinstance(whole, Path):
-                    raise type(error)(str(error).replace(str(whole), str(system))) from None  # as the caller calls it
+                    # Files in it are the caller's by its name, and it is called as the caller does.
+                    text = str(error).replace(f"{folder}/", f"{whole}: ").replace(str(whole), str(system))
+                    raise type(error)(text) from None
                 raise
 
     def _send(self, request: Request) -> None:
         if self._process is None or self._process.poll() is not None:
             self._start()
         assert self._process is not None and self._process.stdin is not None
-        send(self._process.stdin, request)  # type: ignore[arg-type]
+        try:
+            send(self._process.stdin, request)  # type: ignore[arg-type]
+        except OSError:  # what an earlier FMU left behind has just ended it
+            self._kill()
+            self._start()
+            send(self._process.stdin, request)  # type: ignore[arg-type]
 
     def _start(self) -> None:
         self._process = subprocess.Popen(
@@ -138,36 +145,30 @@ class Child:
 
     def _watch(self, folder: Path, progress: Callable[[int, int], None] | None, limit: float) -> Result:
         begun: Begun | None = None
-        here = np.array([0, NOTHING])
-        messages: list[Message] = []
+        messages = Messages()
         seen, since = (0, NOTHING), clock.monotonic()
         while True:
             try:
                 answer = self._answers.get(timeout=LOOK)
             except queue.Empty:
-                now = (int(here[0]), int(here[1]))
-                if now != seen or now[1] == NOTHING:
-                    seen, since = now, clock.monotonic()
-                    if progress is not None and begun is not None and now[1] > 0:
-                        progress(now[1], begun.outline.steps)
-                elif clock.monotonic() - since > limit:
-                    self._kill()
-                    raise self._down(f"has not returned for {limit:g} s", begun, folder, seen, messages) from None
-                continue
+                answer = ()
+            now = _at(folder, begun) or seen
+            if now != seen or now[1] == NOTHING:
+                seen, since = now, clock.monotonic()
+                if progress is not None and begun is not None and now[1] > 0:
+                    progress(now[1], begun.outline.steps)
             match answer:
+                case ():
+                    pass
                 case Message():
                     messages.append(answer)
                 case Begun():
                     begun = answer
-                    here = mapped(folder, "here", *begun.shapes["here"], "r")
                 case Ended(kind=""):
                     assert begun is not None
-                    return self._result(begun, folder, int(here[1]), messages)
+                    return self._result(begun, folder, seen[1], messages)
                 case Ended(kind="RunError"):
-                    error = RunError(answer.element, answer.time, answer.text)
-                    if begun is not None:
-                        error.partial = self._result(begun, folder, int(here[1]), messages)
-                    raise error
+                    raise self._failure(answer.element, answer.time, answer.text, begun, folder, seen[1], messages)
                 case Ended(kind="SystemFileError"):
                     raise SystemFileError(answer.text)
                 case Ended(kind="ExperimentError"):
@@ -176,26 +177,47 @@ class Child:
                     raise RuntimeError(answer.text)
                 case _:
                     how = self._how()
-                    raise self._down(how, begun, folder, (int(here[0]), int(here[1])), messages)
+                    raise self._down(how, begun, folder, _at(folder, begun), messages)
+            if clock.monotonic() - since > limit:
+                self._kill()
+                raise self._down(f"has not returned for {limit:g} s", begun, folder, seen, messages)
 
     def _down(
-        self, how: str, begun: Begun | None, folder: Path, at: tuple[int, int], messages: list[Message]
+        self, how: str, begun: Begun | None, folder: Path, at: tuple[int, int] | None, messages: Messages
     ) -> RunError:
         """The error of a run whose process is no more."""
         words = [line.strip() for line in self._said.decode("utf-8", "replace").splitlines() if line.strip()]
         last = f": {words[-1]}" if words else ""
-        if begun is None:
-            raise RuntimeError(f"the process of the run {how} before it began{last}")
+        if begun is None or at is None:
+            return RunError("", 0.0, f"the process of the run {how}{' before it began' if begun is None else ''}{last}")
         place, row = at
         outline = begun.outline
         row = min(max(row + (place % len(CALLS) == GET and row >= 0), 0), outline.steps)
-        time = outline.start + row * outline.step
-        error = RunError(list(outline.sources)[place // len(CALLS)], time, f"{CALLS[place % len(CALLS)]} {how}{last}")
-        error.partial = self._result(begun, folder, at[1], messages)
+        element, time = list(outline.sources)[place // len(CALLS)], outline.start + row * outline.step
+        return self._failure(element, time, f"{CALLS[place % len(CALLS)]} {how}{last}", begun, folder, at[1], messages)
+
+    def _failure(
+        self,
+        element: str,
+        time: float,
+        text: str,
+        begun: Begun | None,
+        folder: Path,
+        row: int,
+        messages: Messages,
+    ) -> RunError:
+        """The error with what there is of the record."""
+        error = RunError(element, time, text)
+        if begun is not None:
+            with contextlib.suppress(RunError):  # this error is the one to tell of
+                error.partial = self._result(begun, folder, row, messages)
         return error
 
-    def _result(self, begun: Begun, folder: Path, row: int, messages: list[Message]) -> Result:
-        arrays = {name: mapped(folder, name, shape, dtype, "r") for name, (shape, dtype) in begun.shapes.items()}
+    def _result(self, begun: Begun, folder: Path, row: int, messages: Messages) -> Result:
+        try:
+            arrays = {name: mapped(folder, name, shape, dtype, "r") for name, (shape, dtype) in begun.shapes.items()}
+        except (OSError, ValueError):  # it is gone, or shorter than it was
+            raise RunError("", 0.0, "the record of the run is damaged, which an FMU must have done") from None
         printed = self._said.count(b"\n")
         outline = begun.outline
         if printed:
@@ -221,14 +243,20 @@ class Child:
         process, self._process = self._process, None
         if process is None:
             return
-        with contextlib.suppress(ProcessLookupError, PermissionError):  # it is gone already
-            if hasattr(os, "killpg"):
-                os.killpg(process.pid, signal.SIGKILL)
-            else:
-                process.kill()
-        process.wait()
+        end(process)
         with contextlib.suppress(OSError):  # what was not yet sent
             process.stdin.close()  # type: ignore[union-attr]
+
+
+def _at(folder: Path, begun: Begun | None) -> tuple[int, int] | None:
+    """The call and the row that the run is at; None where what it left says nothing. Read, not mapped: the file may be cut."""
+    try:
+        place, row = np.fromfile(folder / RECORD / "here", np.int64).tolist()
+    except (OSError, ValueError):
+        return None
+    if begun is None or not (0 <= place < len(begun.outline.sources) * len(CALLS) and row <= begun.outline.steps):
+        return None
+    return place, row
 
 
 def _absolute(system: System | Path | str) -> System | Path:

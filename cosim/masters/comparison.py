@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.errors import ExperimentError, suggest
+from cosim.master.watched import LIMIT as CALL_LIMIT
 from cosim.masters import fmpy, process
 from cosim.masters.experiment import Recording, read_experiment
 
@@ -16,8 +17,10 @@ MASTERS = ("fmpy", "ecos", "libcosim")
 LIMIT = 1e-12  # relative
 
 
-def record_all(system: Path, masters: Sequence[str]) -> dict[str, Recording]:
+def record_all(system: Path, masters: Sequence[str], call_limit: float = CALL_LIMIT) -> dict[str, Recording]:
     """The recordings of the .ssp file at `system` by each of `masters`, by name.
+
+    A call of an FMU, and in other tools a step of all of them, may take `call_limit` [s].
 
     Raises:
         ExperimentError: an unknown master, or less than two different ones.
@@ -30,7 +33,10 @@ def record_all(system: Path, masters: Sequence[str]) -> dict[str, Recording]:
     if len(masters) < 2 or len(set(masters)) < len(masters):
         raise ExperimentError(f"masters '{','.join(masters)}': a comparison needs two or more different ones")
     experiment = read_experiment(system)
-    return {name: fmpy.record(experiment) if name == "fmpy" else process.record(name, system) for name in masters}
+    return {
+        name: fmpy.record(experiment, call_limit) if name == "fmpy" else process.record(name, system, call_limit)
+        for name in masters
+    }
 
 
 def differences(reference: Recording, other: Recording) -> dict[str, float | None]:

@@ -6,6 +6,8 @@ parameter: the run goes on with the values of before, and nothing is said. It st
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from ecospy import EcosLib, EcosSimulation
 
@@ -13,8 +15,8 @@ from cosim.masters.experiment import Experiment, MasterError, Recording
 from cosim.system.ssp_writer import PARAMETER_SET
 
 
-def record(experiment: Experiment) -> Recording:
-    """The columns of all Real, Integer and Boolean outputs.
+def record(experiment: Experiment, stepped: Callable[[], object]) -> Recording:
+    """The columns of all Real, Integer and Boolean outputs; calls `stepped` after each step.
 
     Raises:
         MasterError: Ecos cannot load or initialise the system, or not start it at its start time.
@@ -36,6 +38,7 @@ def record(experiment: Experiment) -> Recording:
         rows[i, 0] = simulation.step(1) if i else simulation.get_time()
         for column, output in enumerate(outputs, start=1):
             rows[i, column] = read[output.kind](f"{output.element}::{output.variable}")
+        stepped()
     simulation.terminate()
     simulation.free()
     return dict(zip(["time", *(output.column for output in outputs)], rows.T, strict=True))

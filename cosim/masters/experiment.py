@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.master import count_steps
-from cosim.system import read_ssp
-from cosim.system.resolve import resolve
+from cosim.system.resolve import resolve_ssp
 
 # What a tool recorded: columns (n,) by name, `time` [s] first, then `<element>.<variable>`; row 0 after initialisation,
 # row i after step i, as in results.csv.
@@ -53,7 +52,7 @@ def read_experiment(path: Path) -> Experiment:
         ExperimentError: the stop time is no whole number of steps away from the start, or nobody names a step.
     """
     with tempfile.TemporaryDirectory(prefix="cosim-") as directory:
-        resolved = resolve(read_ssp(path, Path(directory)))
+        resolved = resolve_ssp(path, Path(directory))
     stop, step = resolved.experiment()
     start = resolved.system.start
     outputs = tuple(

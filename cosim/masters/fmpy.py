@@ -6,11 +6,11 @@ from cosim.master.watched import run
 from cosim.masters.experiment import Experiment, Recording
 
 
-def record(experiment: Experiment) -> Recording:
-    """The columns of all numeric outputs.
+def record(experiment: Experiment, limit: float) -> Recording:
+    """The columns of all numeric outputs; a call of an FMU may take `limit` [s].
 
     Raises:
         RunError: an FMU failed, or took its process with it.
     """
-    result = run(experiment.path)
+    result = run(experiment.path, limit=limit)
     return {"time": result.time, **{name: result[name] for name in result.names}}

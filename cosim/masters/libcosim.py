@@ -28,8 +28,8 @@ KINDS = {"Real": CosimVariableType.REAL, "Integer": CosimVariableType.INTEGER}
 Read = Callable[[int, int, int, int], tuple[list[int], list[int], list[float]]]
 
 
-def record(experiment: Experiment) -> Recording:
-    """The columns of all Real and Integer outputs.
+def record(experiment: Experiment, stepped: Callable[[], object]) -> Recording:
+    """The columns of all Real and Integer outputs; calls `stepped` after each step.
 
     Raises:
         MasterError: libcosim cannot load the system, or an FMU failed.
@@ -56,8 +56,10 @@ def record(experiment: Experiment) -> Recording:
         execution.add_observer(observer)
         for key in keys:
             observer.start_time_series(*key)
-        if not execution.step(experiment.steps):
-            raise MasterError(get_last_error_message())
+        for _ in range(experiment.steps):
+            if not execution.step(1):
+                raise MasterError(get_last_error_message())
+            stepped()
         recording: Recording = {}
         for output, (index, reference, kind) in zip(outputs, keys, strict=True):
             real = kind is CosimVariableType.REAL

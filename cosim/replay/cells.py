@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from datetime import datetime
 
+from cosim import errors
+
 Converter = Callable[[str], float]
 _TRUTHS = {"true": 1.0, "false": 0.0}
 
@@ -97,15 +99,13 @@ def is_moment(cell: str) -> bool:
 
 
 def _plain(cell: str, decimal: str) -> float | None:
-    """The number, or None. (Python's float also takes 1_0.5 and digits of all alphabets.)"""
+    """The number, or None."""
     if decimal != ".":
         if "." in cell:
             return None
         cell = cell.replace(decimal, ".")
-    if "_" in cell or not cell.isascii():
-        return None
     try:
-        return float(cell)
+        return errors.number(cell)
     except ValueError:
         return None
 

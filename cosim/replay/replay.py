@@ -11,7 +11,7 @@ from fmpy.model_description import ModelDescription
 
 from cosim.errors import ExperimentError
 from cosim.fmu import Value, read_description, typed_value
-from cosim.master import run
+from cosim.master.watched import LIMIT, run
 from cosim.replay.log import Log, Rows, read_log
 from cosim.replay.reading import Reading
 from cosim.replay.sampling import Sampling, sampling
@@ -64,6 +64,7 @@ def replay(
     reading: Reading | None = None,
     overrides: Mapping[str, Value] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    limit: float = LIMIT,
 ) -> Replay:
     """Run an observer FMU over a log, sample by sample.
 
@@ -82,12 +83,13 @@ def replay(
         reading: how the file is written, where it does not tell.
         overrides: start values of parameters; the constant values of inputs without a column.
         progress: called now and then with the number of steps done and of all.
+        limit: how long a call of the FMU, which runs in a process of its own, may take [s].
 
     Raises:
         SystemFileError: the FMU is not sound.
         ExperimentError: the log cannot be read, lacks a column, or its times do not ascend or do not suit the FMU's sample time; an
             unknown or unfit override or mapping, a unit that is not the input's.
-        cosim.master.slave.RunError: the FMU failed; `partial` of the error has the rows up to there.
+        cosim.master.slave.RunError: the FMU failed, ended its process or did not return; `partial` of the error has the rows up to there.
     """
     fmu, overrides, mapping = Path(fmu).resolve(), overrides or {}, mapping or {}
     description = read_description(fmu)
@@ -115,6 +117,7 @@ def replay(
         overrides={f"{ELEMENT}.{name}": value for name, value in overrides.items()},
         inputs={f"{ELEMENT}.{name}": values for name, values in fed.items()},
         progress=progress,
+        limit=limit,
     )
     used = {column.head for column in (*columns.values(), instants) if column is not None}
     there = taken.rows[taken.rows >= 0]

@@ -11,6 +11,7 @@ from cosim.errors import SystemFileError, suggest
 from cosim.fmu import Value, read_fmu, typed_value, unit_of
 from cosim.system.resolved import Connection, Exposure, ResolvedSystem, Supply, listed
 from cosim.system.route import Quantity, Route, conversions, fitted
+from cosim.system.ssp_reader import read_ssp
 from cosim.system.system import Connector, Element, System, element_of
 from cosim.system.transformation import Transformation, apply
 from cosim.system.units import Unit, fmu_units
@@ -55,6 +56,18 @@ def resolve(system: System) -> ResolvedSystem:
     return ResolvedSystem(
         system, descriptions, variables, static_elements, connections, supplies, exposures, parameters, notes
     )
+
+
+def resolve_ssp(path: Path, directory: Path) -> ResolvedSystem:
+    """The system in the .ssp file at `path`; its FMUs are written to `directory`, of which messages do not speak.
+
+    Raises:
+        SystemFileError: as `cosim.system.read_ssp` and `resolve`.
+    """
+    try:
+        return resolve(read_ssp(path, directory))
+    except SystemFileError as error:
+        raise SystemFileError(str(error).replace(f"{directory}/", f"{path}: ")) from None
 
 
 def find_variable(variables: Mapping[str, Mapping[str, ModelVariable]], path: str) -> tuple[str, ModelVariable]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import posixpath
+import re
 import zipfile
 from dataclasses import dataclass, field
 from functools import cache
@@ -24,7 +25,10 @@ NAMESPACES = {"ssd": SSD, "ssc": SSC, "ssv": SSV, "ssm": SSM, "osp": OSP}
 STRUCTURE = "SystemStructure.ssd"
 OSP_ANNOTATION = "com.opensimulationplatform"
 
+# The first tag, if its prefix is one of ours.
+_ROOT = re.compile(rb"<(?P<name>(?P<prefix>ssd|ssv|ssm):\w+)[^>]*>")
 DEEPEST = 16  # systems in systems: a file that holds itself never ends otherwise
+MOST_ELEMENTS = 100_000  # systems that hold others several times multiply
 
 
 @dataclass
@@ -37,7 +41,8 @@ class Package:
         directory: where its FMUs are written.
         depth: how many .ssp files it lies in.
         inflated: bytes written so far, by it and by what it lies in: one list for all.
-        version: of the .ssd file, "1.0" or "2.0".
+        elements: elements read so far, likewise.
+        written: the members in the directory.
     """
 
     archive: zipfile.ZipFile
@@ -45,7 +50,8 @@ class Package:
     directory: Path
     depth: int = 0
     inflated: list[int] = field(default_factory=lambda: [0])
-    version: str = "1.0"
+    elements: list[int] = field(default_factory=lambda: [0])
+    written: dict[str, Path] = field(default_factory=dict)
 
     def member(self, source: str, base: str = "") -> str:
         """The archive's member that a URI relative to the file `base` means.
@@ -64,22 +70,25 @@ class Package:
         Raises:
             SystemFileError: there is no such member, or it is no such file (with its line).
         """
-        root = parsed(self.archive, member, self.label)
+        root = parsed(self.archive, member, self.label, _declared)
         validate(root, schema, f"{self.label}: {member}")
         return root
 
     def extract(self, member: str) -> Path:
-        """Write a member into the directory.
+        """Write a member into the directory, the first time that it is asked for.
 
         Raises:
             SystemFileError: this file and those that it lies in would inflate beyond the limit.
         """
+        if member in self.written:
+            return self.written[member]
         self.inflated[0] += self.archive.getinfo(member).file_size
         if self.inflated[0] > LARGEST:
             raise SystemFileError(
                 f"{self.label}: more than {LARGEST / 2**30:g} GiB when inflated, the most that is unpacked"
             )
-        return Path(self.archive.extract(member, self.directory))
+        self.written[member] = Path(self.archive.extract(member, self.directory))
+        return self.written[member]
 
 
 def validate(element: etree._Element, schema: str, where: str) -> None:
@@ -101,6 +110,15 @@ def validate(element: etree._Element, schema: str, where: str) -> None:
             reason = reason.replace(f"{{{namespace}}}", "")
         more = " (the file is of SSP 2.0: only what SSP 1.0 has, too, is supported)" if later else ""
         raise SystemFileError(f"{where}, line {problem.line}: {reason}{more}")
+
+
+def _declared(text: bytes) -> bytes:
+    """The text of a file whose root has a prefix of SSP that it does not declare, as in parameter sets of Ecos's demonstrations."""
+    root = _ROOT.search(text)
+    if root is None or f"xmlns:{root['prefix'].decode()}".encode() in root[0]:
+        return text
+    at, namespace = root.end("name"), NAMESPACES[root["prefix"].decode()]
+    return text[:at] + f' xmlns:{root["prefix"].decode()}="{namespace}"'.encode() + text[at:]
 
 
 @cache

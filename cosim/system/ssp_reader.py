@@ -7,7 +7,7 @@ from pathlib import Path
 from lxml import etree
 
 from cosim.archive import opened
-from cosim.errors import SystemFileError
+from cosim.errors import SystemFileError, number
 from cosim.system.flatten import flatten
 from cosim.system.ssp_files import NAMESPACES, OSP_ANNOTATION, STRUCTURE, Package
 from cosim.system.ssp_structure import read_structure
@@ -51,7 +51,7 @@ def _step_size(path: Path, experiment: etree._Element | None) -> float | None:
     if found is None or found.get("baseStepSize") is None:
         return None
     try:
-        return float(found.get("baseStepSize"))
+        return number(found.get("baseStepSize"))
     except ValueError:
         text = found.get("baseStepSize")
         raise SystemFileError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lxml import etree
@@ -11,7 +11,7 @@ from lxml import etree
 from cosim.archive import opened
 from cosim.errors import SystemFileError
 from cosim.system.route import Hop
-from cosim.system.ssp_files import DEEPEST, NAMESPACES, STRUCTURE, Package
+from cosim.system.ssp_files import DEEPEST, MOST_ELEMENTS, NAMESPACES, STRUCTURE, Package
 from cosim.system.ssp_parameters import Values, bindings, flag, transformation
 from cosim.system.system import Connector
 from cosim.system.units import Unit, ssp_units
@@ -83,6 +83,9 @@ def _system(file: _File, element: etree._Element) -> Node:
         name = child.get("name")
         if name in node.children:
             raise file.refuse(child, f"two elements are called '{name}'")
+        file.package.elements[0] += 1
+        if file.package.elements[0] > MOST_ELEMENTS:
+            raise file.refuse(child, f"more than {MOST_ELEMENTS} elements, those of nested systems included")
         match etree.QName(child).localname:
             case "Component":
                 node.children[name] = _component(file, child)
@@ -159,7 +162,8 @@ def _package(file: _File, element: etree._Element, source: str) -> Node:
     path = package.extract(package.member(uri, file.member))
     with opened(path, "an SSP file") as archive:
         folder = path.with_name(f"{path.name}.unpacked")
-        inner = Package(archive, f"{package.label}: {uri}", folder, package.depth, package.inflated)
+        label = f"{package.label}: {uri}"
+        inner = Package(archive, label, folder, package.depth, package.inflated, package.elements)
         return _nested(file, element, inner, lambda deeper: read_structure(deeper, chosen or STRUCTURE)[1])
 
 
@@ -168,5 +172,4 @@ def _nested(file: _File, element: etree._Element, package: Package, read: Callab
         raise file.refuse(
             element, f"element '{element.get('name')}' lies in more than {DEEPEST} systems: does one hold itself?"
         )
-    deeper = Package(package.archive, package.label, package.directory, package.depth + 1, package.inflated)
-    return read(deeper)
+    return read(replace(package, depth=package.depth + 1))

@@ -39,7 +39,7 @@ STATIC = {
     "type-name": Rule("2.2.3", "types have different names, and none a variable's", "2.4"),
     "declared-type": Rule("2.2.7", "a declaredType is of the variable's base type", "2.4"),
     "enumeration-items": Rule("2.2.3", "the items of an enumeration have different names and values", "2.4"),
-    "enumeration-start": Rule("2.2.7", "an enumeration starts at the value of one of its items"),
+    "enumeration-start": Rule("2.2.7", "an enumeration starts at the value of one of its items", "2.4"),
     "min-max": Rule("2.2.7", "min is not above max", "2.4"),
     "start-range": Rule("2.2.7", "the start value lies in [min, max]", "2.4"),
     "alias-settable": Rule("2.2.7", "of variables with one value reference at most one can be set"),

@@ -121,7 +121,7 @@ def check_documents(package: Package) -> Iterator[Finding]:
 
 
 def check_definitions(root: etree._Element) -> Iterator[Finding]:
-    """unit-name, type-name, enumeration-items, declared-type."""
+    """unit-name, type-name, enumeration-items, declared-type, enumeration-start."""
     yield from _repeated("unit-name", [unit.get("name", "") for unit in root.iterfind("UnitDefinitions/Unit")], "unit")
     types = list(root.iterfind("TypeDefinitions/*"))
     yield from _repeated("type-name", [element.get("name", "") for element in types], "type")
@@ -131,11 +131,20 @@ def check_definitions(root: etree._Element) -> Iterator[Finding]:
             for value in (value for value, count in Counter(items).items() if count > 1):
                 name = element.get("name", "")
                 yield finding("enumeration-items", name, f"different {attribute}s", f"'{value}' more than once")
+    items_of = {
+        element.get("name", ""): [int(item.get("value", "0")) for item in element.iterfind("Item")] for element in types
+    }
     kinds = {element.get("name", ""): str(element.tag).removesuffix("Type") for element in types}
     for variable in _elements(root):
         declared = kinds.get(variable.get("declaredType", ""), variable.tag)
         if declared != variable.tag:
             yield finding("declared-type", variable.get("name", ""), f"a type of {variable.tag}", f"one of {declared}")
+        elif variable.tag == "Enumeration":
+            known = items_of.get(variable.get("declaredType", ""), [])
+            for text in (text for text in (variable.get("start") or "").split() if int(text) not in known):
+                expected = f"a start value of {', '.join(map(str, known))}"
+                yield finding("enumeration-start", variable.get("name", ""), expected, text)
+                break
 
 
 def _repeated(rule: str, words: list[str], what: str) -> Iterator[Finding]:

@@ -18,6 +18,7 @@ import cosim.master
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master import watched
 from cosim.master.slave import RunError
+from cosim.results import LONGEST_MESSAGE, MOST_MESSAGES, Message, Messages
 from cosim.system import Element, System
 from strict_fmu import FAILURES
 
@@ -69,6 +70,40 @@ def test_a_step_that_goes_wrong_is_named_and_the_rows_before_are_kept(
     assert partial is not None
     np.testing.assert_array_equal(partial.time, 0.1 * np.arange(6))
     np.testing.assert_array_equal(partial.values, watched.run(failing(strict, "none"), stop=0.5).values)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the FMU does it by POSIX means")
+@pytest.mark.parametrize(
+    ("failure", "reason", "rows"),
+    [
+        ("garble", r"element 'bad' at t = 0\.5: fmi2DoStep ended the process by SIGABRT", 6),
+        ("lose", "the record of the run is damaged, which an FMU must have done", None),
+        ("log_for_ever", r"element 'bad' at t = 0\.5: fmi2DoStep has not returned for 0\.5 s", 6),
+        ("obey_me", r"element 'bad' at t = 0\.5: fmi2DoStep failed \(error\): a line and another \\x1b\[31m", 6),
+    ],
+)
+def test_what_an_fmu_does_to_its_process_is_one_plain_line(
+    strict: Strict, failure: str, reason: str, rows: int | None
+) -> None:
+    with pytest.raises(RunError, match=reason + r"\Z") as caught:
+        watched.run(failing(strict, failure), limit=0.5)
+    assert str(caught.value).isprintable()
+    partial = caught.value.partial
+    assert (partial is not None and len(partial.time)) == (rows or False)
+    if failure == "log_for_ever":
+        assert partial is not None and 0 < len(partial.messages) <= MOST_MESSAGES
+
+
+def test_of_too_many_messages_the_first_and_the_last_are_kept() -> None:
+    kept = Messages()
+    for i in range(MOST_MESSAGES + 5):
+        kept.append(Message("a", "warning", "", f"{i} " + "x" * 5000))
+    assert len(kept) == MOST_MESSAGES and len(kept[0].text) == LONGEST_MESSAGE
+    assert [m.text.split()[0] for m in (kept[0], kept[-2], kept[-1])] == [
+        "0",
+        str(MOST_MESSAGES - 2),
+        str(MOST_MESSAGES + 4),
+    ]
 
 
 def test_other_calls_are_named_too(strict: Strict) -> None:

@@ -14,7 +14,8 @@ import pytest
 from cosim.master import watched
 from cosim.masters import process
 from cosim.masters.experiment import MasterError, Recording
-from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd
+from ssp_text import ROOT, UNITS, binding, component, connection, connector, mapped, pack, parameter_set, ssd, system
+from strict_fmu import FAILURES
 
 Strict = Callable[..., Path]
 PORTS = connector("u", "input") + connector("y", "output") + connector("gain", "parameter")
@@ -23,14 +24,6 @@ TOOLS = ("ecos", "libcosim")
 
 def reals(**values: float) -> str:
     return binding({name: f'<ssv:Real value="{value}"/>' for name, value in values.items()})
-
-
-def system(elements: str, connections: str = "", connectors: str = "") -> str:
-    return (
-        (f"<ssd:Connectors>{connectors}</ssd:Connectors>" if connectors else "")
-        + f"<ssd:Elements>{elements}</ssd:Elements>"
-        + (f"<ssd:Connections>{connections}</ssd:Connections>" if connections else "")
-    )
 
 
 @pytest.fixture
@@ -155,6 +148,15 @@ def test_ecos_and_libcosim_convert_no_units_and_know_no_tables_and_mappings(
     for column, (content, right, theirs) in cases.items():
         path = pack(tmp_path / "x.ssp", ssd(content), fmus)
         assert (ours(path)[column][-1], process.record(tool, path)[column][-1]) == (right, theirs), column
+
+
+@pytest.mark.usefixtures("other_masters")
+@pytest.mark.parametrize("tool", TOOLS)
+def test_a_step_that_never_ends_ends_the_other_tool_too(tool: str, fmus: dict[str, Path], tmp_path: Path) -> None:
+    failing = binding({"failure": f'<ssv:Integer value="{FAILURES.index("endless")}"/>'})
+    path = pack(tmp_path / "x.ssp", ssd(system(component("a", "m.fmu", PORTS, failing)), more=""), fmus)
+    with pytest.raises(MasterError, match=f"{tool}: a step, or what comes before the first, has not returned for 3 s"):
+        process.record(tool, path, 3.0)
 
 
 @pytest.mark.usefixtures("other_masters")

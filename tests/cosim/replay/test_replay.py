@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from fmu_src import export
 from observers.component import Component, Port
 from observers.pseudospectral import pseudospectral
 from reference_models.duffing import DUFFING
+from strict_fmu import FAILURES
 from toys import sampled_toy
 
 Build = Callable[[str], Path]
@@ -73,6 +75,23 @@ def written(path: Path, time: np.ndarray, **columns: np.ndarray) -> Path:
     ]
     path.write_text("\n".join([",".join(["time", *columns]), *rows]) + "\n")
     return path
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other words for it")
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [("crash", "fmi2DoStep ended the process by SIGSEGV"), ("endless", "fmi2DoStep has not returned for 1 s")],
+)
+def test_an_fmu_that_goes_down_or_hangs_is_one_line_and_the_rows_up_to_there(
+    strict: Callable[..., Path], failure: str, reason: str, tmp_path: Path
+) -> None:
+    log = written(tmp_path / "log.csv", 0.1 * np.arange(10), u=np.arange(10.0), **dict.fromkeys("neb", np.ones(10)))
+    asked = ("--call-limit", 1, "--set", f"failure={FAILURES.index(failure)}", "--set", "fail_time=0.45")
+    result = cosim("replay", strict(), log, "--out", tmp_path / "out", *asked)
+    (line,) = result.stderr.splitlines()
+    assert (result.exit_code, line.startswith(f"error: element 'observer' at t = 0.5: {reason}")) == (1, True), line
+    assert (read_csv(tmp_path / "out" / "estimates.csv")["observer.y"] == [0, 0, 1, 2, 3, 4]).all()
+    assert not Path("eventlog.txt").exists()
 
 
 def test_the_replay_of_a_recorded_run_equals_the_coupled_run_exactly(

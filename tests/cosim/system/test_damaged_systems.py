@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
+import subprocess
+import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -140,7 +143,7 @@ def test_a_file_that_inflates_beyond_the_limit_is_refused_before_it_does(
     assert fmu.stat().st_size < 10**6
     monkeypatch.setattr(archive, "LARGEST", 5 * 10**6)
     path = pack(tmp_path / "x.ssp", content, {"a.fmu": fmu})
-    with pytest.raises(SystemFileError, match=r"a\.fmu: 0\.0093\d GiB when inflated, more than"):
+    with pytest.raises(SystemFileError, match=r"x\.ssp: resources/a\.fmu: 0\.0093\d GiB when inflated, more than"):
         prepare(path, tmp_path / "out")
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as written:
         written.writestr("zeros", bytes(10**7))
@@ -150,6 +153,29 @@ def test_a_file_that_inflates_beyond_the_limit_is_refused_before_it_does(
     monkeypatch.setattr(archive, "LARGEST_XML", 1000)
     with pytest.raises(SystemFileError, match=r"SystemStructure\.ssd has 0 MiB, more than 0 MiB"):
         read_ssp(path, tmp_path / "out")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no module resource")
+@pytest.mark.parametrize("unit", ["<a/>", '<a b="c" d="e" f="" g="" h="" i=""/>'])
+@pytest.mark.parametrize("count", [2.9e6, 4e7])
+def test_an_xml_file_of_very_many_tags_takes_less_than_a_gigabyte(unit: str, count: float, tmp_path: Path) -> None:
+    marks = unit.count("<") + unit.count("=")
+    path = tmp_path / "x.ssp"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as written, written.open(STRUCTURE, "w") as file:
+        file.write(b"<x>")
+        for _ in range(int(count / marks / 10_000)):
+            file.write(unit.encode() * 10_000)
+        file.write(b"</x>")
+    script = (
+        "import resource, sys\nfrom pathlib import Path\nfrom cosim.errors import SystemFileError\n"
+        "from cosim.system import read_ssp\ntry:\n    read_ssp(Path(sys.argv[1]), Path(sys.argv[2]))\n"
+        "except SystemFileError as error:\n    print(error)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
+    )
+    command = [sys.executable, "-c", script, str(path), str(tmp_path / "out")]
+    message, peak = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert message.startswith(f"{path}: SystemStructure.ssd") and int(peak) < 2**30
 
 
 def test_entities_and_paths_in_a_models_name_are_refused(strict: Strict, tmp_path: Path) -> None:

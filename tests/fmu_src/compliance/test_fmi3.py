@@ -63,6 +63,7 @@ DEFECTS: dict[str, dict[str, str]] = {
     "unit-name": {"</UnitDefinitions>": '<Unit name="m"/></UnitDefinitions>'},
     "type-name": {"</TypeDefinitions>": '<Int8Type name="Length2"/><Int8Type name="Length2"/></TypeDefinitions>'},
     "declared-type": {'variability="tunable" start="3"': 'variability="tunable" start="3" declaredType="Mode"'},
+    "enumeration-start": {'declaredType="Mode" start="1"': 'declaredType="Mode" start="3"'},
     "enumeration-items": {'name="Slow" value="2"': 'name="Slow" value="1"'},
     "min-max": {'variability="tunable" start="3"': 'variability="tunable" start="3" min="5" max="4"'},
     "start-range": {'start="1 2 3" min="0" max="5"': 'start="1 2 3" min="0" max="2.5"'},
