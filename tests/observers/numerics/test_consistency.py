@@ -109,7 +109,7 @@ def test_the_last_samples_are_weighed_as_satterthwaite_says(scale):
             compared.append((expected, raised[k, 1]))
     found = np.array(compared)
     np.testing.assert_array_equal(found[:, 0], found[:, 1])
-    assert len(found) > 250 and 0 < found[:, 0].sum()
+    assert len(found) > 250 and found[:, 0].sum() > 0
     np.testing.assert_array_equal(
         raised[np.abs(squared / limits - 1) > near, 0], (squared > limits)[np.abs(squared / limits - 1) > near]
     )
