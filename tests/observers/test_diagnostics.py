@@ -46,6 +46,22 @@ def test_the_innovation_is_the_sample_less_the_output_of_the_estimate_before_it(
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_before_the_first_sample_everything_is_the_guess_and_nothing_has_happened(kind: str) -> None:
+    run = Instance(KINDS[kind](TS), GUESS, t0=T0)
+    shown = dict(zip([port.name for port in run.component.outputs], run.outputs(), strict=True))
+    for name, value in GUESS.items():
+        last = name.removeprefix("guess.")
+        assert shown[f"estimate.{last}"] == value == shown[f"filtered.{last}"]
+        # The default deviation of a guess is its nominal value.
+        if kind in ("ukf", "riccati", "riccati, stiff", "least_squares"):
+            assert shown[f"diagnostics.std.{last}"] == pytest.approx(1, rel=1e-14)
+    assert (shown["diagnostics.status"], shown["diagnostics.trusted"]) == (CODE.propagated_guess, 0)
+    for name, value in shown.items():
+        if name.rsplit(".")[-1] in ("innovation", "rejected_samples", "solver_failures", "restarts", "intervals", "cost"):
+            assert value == 0, name
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_lost_sample_leaves_the_prediction_and_counts_if_it_came_and_was_none(kind: str) -> None:
     lost = {3: math.nan, 9: None, 10: math.inf, 17: -math.inf, 18: None, 25: math.nan}
     counted = 0
