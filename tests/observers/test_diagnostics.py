@@ -57,7 +57,14 @@ def test_before_the_first_sample_everything_is_the_guess_and_nothing_has_happene
             assert shown[f"diagnostics.std.{last}"] == pytest.approx(1, rel=1e-14)
     assert (shown["diagnostics.status"], shown["diagnostics.trusted"]) == (CODE.propagated_guess, 0)
     for name, value in shown.items():
-        if name.rsplit(".")[-1] in ("innovation", "rejected_samples", "solver_failures", "restarts", "intervals", "cost"):
+        if name.rsplit(".")[-1] in (
+            "innovation",
+            "rejected_samples",
+            "solver_failures",
+            "restarts",
+            "intervals",
+            "cost",
+        ):
             assert value == 0, name
 
 
