@@ -63,8 +63,8 @@ TUNING = (
     ),
     Port(
         "tuning.residual_limit",
-        "rms output residual, in units of tuning.measurement_noise where there is one, else of the outputs' nominal values, above which the "
-        "status is inconsistent",
+        "rms output residual, in units of tuning.measurement_noise where there is one, else of the outputs' nominal values, above which "
+        "the status is inconsistent",
         start=1e30,
         min=0.0,
         variability="tunable",
