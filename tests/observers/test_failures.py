@@ -8,7 +8,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from linear_filters import GUESS, KINDS, TS, R, Reference, made
 
 from observers.canonical_dae import canonical_dae
 from observers.component import Component
@@ -21,65 +21,12 @@ from observers.riccati import riccati
 from observers.status import CODE
 from observers.ukf import ukf
 
-TS = 0.1
-A = np.array([[0.0, 1.0], [-2.0, -0.3]])
-F = expm(A * TS)
-P0, W, R = np.diag([1.0, 4.0]), np.diag([0.1, 0.3]) ** 2, 0.2**2
-VAN_LOAN = expm(np.block([[-A, W], [np.zeros((2, 2)), A.T]]) * TS)
-# What the process noise adds over a sample: the unscented filter takes it in at the next one, as it is; least squares has none.
-NOISE = {"ukf": W * TS, "riccati": VAN_LOAN[2:, 2:].T @ VAN_LOAN[:2, 2:], "least_squares": np.zeros((2, 2))}
-GUESS = np.array([0.4, -0.7])
-LINEAR = Model(
-    name="linear",
-    states=[Variable("a", start=0.4), Variable("b", start=-0.7)],
-    outputs=[Variable("y")],
-    ode=lambda x, u, p, t: [x.b, -2 * x.a - 0.3 * x.b],
-    output=lambda x, u, p, t: [x.a],
-)
-KNOWN = {"measurement_noise": {"y": 0.2}, "initial_std": {"a": 1.0, "b": 2.0}}
-MOVING = {"process_noise": {"a": 0.1, "b": 0.3}}
-FILTERS: dict[str, Callable[[], Component]] = {
-    "ukf": lambda: ukf(LINEAR, sample_time=TS, **KNOWN, **MOVING),
-    "riccati": lambda: riccati(LINEAR, sample_time=TS, **KNOWN, **MOVING),
-    "least_squares": lambda: least_squares(LINEAR, sample_time=TS, T=100.0, **KNOWN),
-}
 
-
-class Reference:
-    """The Kalman filter: estimate x, the covariance P that makes its gain, and S, that of its errors.
-
-    The two differ in least squares, where the first sample of an interval has half a weight.
-    """
-
-    def __init__(self, kind: str):
-        self.kind = kind
-        self.x = GUESS
-        self.start()
-        if kind == "ukf":
-            self.P = self.S = P0 + NOISE[kind]  # its noise comes before the first sample too
-
-    def start(self) -> None:
-        self.P = self.S = P0
-        self.fresh = True
-
-    def sample(self, y: float) -> None:
-        variance = R * (1 + (self.fresh and self.kind == "least_squares"))
-        K = self.P[:, :1] / (self.P[0, 0] + variance)
-        L = np.eye(2) - K @ [[1.0, 0.0]]
-        self.x, self.P = self.x + K[:, 0] * (y - self.x[0]), L @ self.P
-        self.S = L @ self.S @ L.T + R * K @ K.T
-        self.fresh = False
-
-    def move(self) -> None:
-        self.x = F @ self.x
-        self.P, self.S = (F @ M @ F.T + NOISE[self.kind] for M in (self.P, self.S))
-
-
-@pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_correction_that_overflows_keeps_the_prediction_and_what_comes_next_is_the_kalman_filter(kind: str) -> None:
     """Of 1e140, before the gate is in force. The unscented filter keeps its covariance, and after a second failure in a row starts at its
     guess; the others keep the estimate and start with their first covariance."""
-    run, reference = Instance(FILTERS[kind]()), Reference(kind)
+    run, reference = Instance(made(kind)), Reference(kind)
     for k in range(12):
         failed = k in (2, 3)
         run.set("y", 1e140 if failed else math.sin(k))
@@ -138,7 +85,7 @@ def test_a_motion_that_escapes_undoes_the_last_sample_and_one_that_escapes_again
     assert run.get("diagnostics.solver_failures") == 2 and run.get("diagnostics.status") != CODE.solver_failed
 
 
-@pytest.mark.parametrize("kind", FILTERS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_after_an_escape_the_first_covariance_counts(kind: str) -> None:
     """Of a state that does not move: closed form. `half`: the part of a weight that the first sample of an interval has."""
     rate, half = 0.25 * (kind != "least_squares"), 0.5 if kind == "least_squares" else 1.0

@@ -223,7 +223,7 @@ def test_the_linearisation_is_the_derivative_of_the_trajectory(case: Case) -> No
     values = ca.Function("values", list(symbols), parts)(V, Z, S)
     normal, residual, sensitivity, at_nodes, by_nodes, sol, z = (value.full() for value in values)
     np.testing.assert_allclose(residual.ravel(), h0 - y, rtol=0, atol=4e-12)
-    np.testing.assert_allclose(sensitivity[:, 0], 0, atol=4e-12)  # the equations are met: nothing to correct
+    np.testing.assert_allclose(sensitivity[:, 0], 0, rtol=0, atol=4e-12)  # the equations are met: nothing to correct
     np.testing.assert_allclose(sensitivity[:, 1:], M, rtol=0, atol=2e-8)
     full = np.column_stack([residual.ravel() + sensitivity[:, 0], sensitivity[:, 1:]])
     np.testing.assert_allclose(normal, full.T @ (w[:, None] * full), rtol=0, atol=1e-11)
@@ -354,7 +354,7 @@ def test_under_a_flat_trajectory_the_nonlinear_states_stay(case: Case) -> None:
     parts = case.problem.segment.split
     rate = parts.A @ START + parts.B @ u + parts.E @ V.full().ravel()[: case.problem.rates.n]
     assert x0.full().ravel().tolist() == START.tolist()
-    np.testing.assert_allclose(rate[parts.rows], 0, atol=1e-15)
+    np.testing.assert_allclose(rate[parts.rows], 0, rtol=0, atol=1e-15)
     assert np.ptp(V.full().reshape(-1, case.problem.rates.n), axis=0).max() == 0
 
 
