@@ -161,6 +161,21 @@ def test_a_tuning_of_something_unknown_is_refused_by_name() -> None:
         ukf(DUFFING, sample_time=0.0)
 
 
+@pytest.mark.parametrize(("states", "words"), [(49, "no output ever sees"), (50, "51 states and unknown parameters")])
+def test_more_than_fifty_estimates_are_refused_before_anything_is_built(states: int, words: str) -> None:
+    """What is said of fifty, of which the outputs see two, is another thing."""
+    model = Model(
+        name="wide",
+        states=[Variable(f"x{i}") for i in range(states)],
+        unknown_parameters=[Variable("a")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-p.a * getattr(x, f"x{i}") for i in range(states)],
+        output=lambda x, u, p, t: [x.x0],
+    )
+    with pytest.raises(ModelError, match=words):
+        ukf(model, sample_time=0.1)
+
+
 @pytest.mark.parametrize("least", [0.0, -math.inf], ids=["bounded", "unbounded"])
 @pytest.mark.parametrize("output", ["log", "sqrt"])
 def test_a_first_covariance_wider_than_the_outputs_domain_loses_no_sample(output: str, least: float) -> None:
