@@ -13,6 +13,7 @@ from observers.canonical_dae import canonical_dae
 from observers.component import Component
 from observers.instance import Instance
 from observers.status import CODE
+from reference_models.double_integrator import MASS_WITH_UNKNOWN_FORCE
 
 TS, SAMPLES = 0.02, 68
 C = np.array([[1, 0, 0], [1, 0, 0.5]])
@@ -146,3 +147,19 @@ def test_every_sample_is_that_of_the_equations_whatever_is_missing(form: str, fi
     assert seen == set(states) and np.abs(reference.mu).max() > 1e-3
     assert run.get("diagnostics.rejected_samples") == 0 == run.get("diagnostics.solver_failures")
     assert run.get("diagnostics.singular_gains") == 0 == run.get("diagnostics.restarts")
+
+
+@pytest.mark.parametrize("form", ["w", "bdf"])
+def test_the_last_disturbance_moves_the_prediction_over_samples_that_are_missing(form: str) -> None:
+    """A mass under a constant force of 2: closed form, through two gaps of eight samples."""
+    run = Instance(canonical_dae(MASS_WITH_UNKNOWN_FORCE, sample_time=0.01, form=form, poles=[-5.0]))
+    for k in range(120):
+        t, there = 0.01 * k, not (60 <= k < 68 or 80 <= k < 88)
+        for name, value in (("y1", 1 + t**2), ("y2", 2 * t)):
+            run.set(name, value if there else 7.0)
+            run.set(f"measurement_valid.{name}", there)
+        run.step(t, 0.01)
+        if k > 3:
+            found = [run.get(f"{part}.{name}") for part in ("filtered", "estimate") for name in ("x1", "x2", "force")]
+            expected = [1 + t**2, 2 * t, 2, 1 + (t + 0.01) ** 2, 2 * (t + 0.01), 2]
+            np.testing.assert_allclose(found, expected, rtol=0, atol=4e-13, err_msg=str(k))
