@@ -27,7 +27,7 @@ def nearest(x: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("x", [[3.0, 0.4, -2.0], [-2.5, 0.4, -2.0], [0.3, -0.7, 1.5], [0.3, 9.0, 0.2]])
 def test_where_one_bound_is_broken_what_is_correlated_moves_with_it(x: list[float]) -> None:
     found = conditioned(VARIABLES, ca.DM(x), ca.DM(P)).full().ravel()
-    np.testing.assert_allclose(found, nearest(np.array(x)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found, nearest(np.array(x)), rtol=0, atol=1e-13)
 
 
 def test_where_several_are_broken_all_hold() -> None:
