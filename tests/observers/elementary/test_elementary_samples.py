@@ -80,3 +80,24 @@ def test_every_sample_is_the_least_squares_solution_of_what_has_arrived(first: b
         assert run.get("diagnostics.status") == status, k
     assert max(gaps) < 1e-9 and max(visible) < 1e-12
     assert run.get("diagnostics.rejected_samples") == 0 == run.get("diagnostics.solver_failures")
+
+
+def test_a_changed_parameter_is_said_while_an_interval_of_the_window_obeys_the_old_value() -> None:
+    """Of N samples there are N - 1 intervals, the last of which ends at the sample of the change."""
+    model = Model(
+        name="tuned",
+        states=[Variable("x", start=1.0)],
+        parameters=[Variable("k", start=0.5), Variable("l")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [p.l - p.k * x.x],
+        output=lambda x, u, p, t: [x.x],
+    )
+    run = Instance(elementary(model, sample_time=S, N=N, measurement_noise={"y": 50.0}))
+    run.set("y", 1.0)
+    found = []
+    for k in range(60):
+        if k in (20, 40, 43):
+            run.set("parameter.l" if k == 43 else "parameter.k", 0.01 * k)
+        run.step(k * S, S)
+        found.append(run.get("diagnostics.status") == CODE.parameter_changed)
+    assert [k for k, said in enumerate(found) if said] == [*range(20, 20 + N - 1), *range(40, 43 + N - 1)]
