@@ -69,6 +69,14 @@ def test_before_the_first_sample_everything_is_the_guess_and_nothing_has_happene
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_it_is_called_after_its_model_and_its_method(kind: str) -> None:
+    method = {"segments": "pseudospectral", "arrival cost": "pseudospectral", "spline": "pseudospectral"}.get(
+        kind, kind
+    )
+    assert KINDS[kind](TS).name == f"swing_{method.split(',')[0]}"
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_lost_sample_leaves_the_prediction_and_counts_if_it_came_and_was_none(kind: str) -> None:
     lost = {3: math.nan, 9: None, 10: math.inf, 17: -math.inf, 18: None, 25: math.nan}
     counted = 0

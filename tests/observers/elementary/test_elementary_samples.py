@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from observers.elementary import elementary
+from observers.elementary.identifiability import least_visible
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.status import CODE
@@ -101,3 +103,25 @@ def test_a_changed_parameter_is_said_while_an_interval_of_the_window_obeys_the_o
         run.step(k * S, S)
         found.append(run.get("diagnostics.status") == CODE.parameter_changed)
     assert [k for k, said in enumerate(found) if said] == [*range(20, 20 + N - 1), *range(40, 43 + N - 1)]
+
+
+def test_the_visibility_is_that_along_the_inputs_and_the_time_of_the_window() -> None:
+    """x' = (u + sin t) x by the midpoint rule, y = 3 x + t of nominal value 4, a sample that is missing: closed form."""
+    model = Model(
+        name="grown",
+        states=[Variable("x", nominal=2.0)],
+        inputs=[Variable("u")],
+        outputs=[Variable("y", nominal=4.0)],
+        ode=lambda x, u, p, t: [(u.u + ca.sin(t)) * x.x],
+        output=lambda x, u, p, t: [3 * x.x + t],
+    )
+    u0, u1, t = np.linspace(-1, 2, N - 1), np.linspace(0.5, -1, N - 1), 1.3
+    there, starts = np.ones(N), t + S * np.arange(1 - N, 0)
+    there[3] = 0
+    rates = (u0 + u1) / 2 + np.sin(starts + S / 2)
+    moved = np.cumprod([1.0, *((1 - S / 2 * rates) / (1 + S / 2 * rates))[::-1]])[::-1]  # of the last state, back
+    blank = [np.ones((1, N)), np.zeros((0, N - 1)), np.zeros((1, N)), there[None]]
+    inputs = [u0[None], u1[None], np.zeros((1, N)), np.ones((1, N - 1)), t, S, []]
+    visibility, direction = least_visible(model, N)(*blank, *inputs)
+    expected = math.sqrt(np.sum(there * (3 * 2.0 / 4.0 * moved) ** 2) / (N - 1))
+    assert float(visibility) == pytest.approx(expected, rel=1e-13) and float(direction) == 2.0

@@ -53,11 +53,11 @@ def test_on_a_linear_model_it_is_the_kalman_filter_with_missing_samples_too(miss
         if here.any():
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + noise)
             x, P = x + K @ (y[here] - H @ x), (np.eye(2) - K @ H) @ P
-        np.testing.assert_allclose([run_ukf.get("filtered.x1"), run_ukf.get("filtered.x2")], x, rtol=0, atol=1e-10)
+        np.testing.assert_allclose([run_ukf.get("filtered.x1"), run_ukf.get("filtered.x2")], x, rtol=0, atol=1e-13)
         x, P = F @ x + G * u, F @ P @ F.T
-        np.testing.assert_allclose([run_ukf.get("estimate.x1"), run_ukf.get("estimate.x2")], x, rtol=0, atol=1e-9)
+        np.testing.assert_allclose([run_ukf.get("estimate.x1"), run_ukf.get("estimate.x2")], x, rtol=0, atol=1e-13)
         found = [run_ukf.get("diagnostics.std.x1"), run_ukf.get("diagnostics.std.x2")]
-        np.testing.assert_allclose(found, np.sqrt(np.diag(P + Q * TS)), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found, np.sqrt(np.diag(P + Q * TS)), rtol=0, atol=1e-13)
 
 
 def test_its_errors_are_as_large_as_its_covariance_says() -> None:
