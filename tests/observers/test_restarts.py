@@ -63,3 +63,20 @@ def test_the_deviations_of_a_papers_design_are_in_the_scale_of_the_innovations(k
         reference.move()
         found = [run.get(f"diagnostics.std.{name}") for name in "ab"]
         np.testing.assert_allclose(found, np.sqrt(np.mean(squares) * np.diag(reference.S)), rtol=1e-11, err_msg=str(k))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("part", [0.999, -0.999, 1.001, -1.001])
+def test_a_sample_acts_within_ten_deviations_of_its_innovation_and_not_beyond(kind: str, part: float) -> None:
+    """Of the innovation's own variance: that of the prediction and that of the noise."""
+    run, reference = Instance(made(kind)), Reference(kind)
+    for k in range(12):
+        # A sample that is its own prediction leaves the estimate where the model takes it.
+        spread = math.sqrt(reference.S[0, 0] + reference.variance)
+        y = reference.x[0] + (10 * part * spread if k == 11 else 0)
+        run.set("y", y)
+        run.step(k * TS, TS)
+        if k < 11 or abs(part) < 1:
+            reference.sample(y)
+        np.testing.assert_allclose(run.get("filtered.a"), reference.x[0], rtol=0, atol=1e-12)
+        reference.move()
