@@ -126,7 +126,7 @@ def test_an_unknown_parameter_is_estimated_as_a_state_that_does_not_move():
         ({"N": [1.0, 0.0]}, ("N", "x2", "0")),
         ({"N": [1.0, 2.0, 3.0]}, ("N", "(3,)", "(2,)")),
         ({"R": math.nan}, ("R", "nan")),
-        ({"N": [1.0, math.inf]}, ("N", "inf", "not finite")),
+        ({"N": [1.0, math.nan]}, ("N", "nan", "not finite")),
         ({"Q0": [[1.0, 0.0], [math.nan, 1.0]]}, ("Q0", "nan", "not finite")),
         ({"N": [[1.0, 1.0], [1.0, 1.0]]}, ("N", "singular", "rank 1 of 2")),
         ({"Q0": [[1.0, 2.0], [2.0, 1.0]]}, ("Q0", "positive definite")),
