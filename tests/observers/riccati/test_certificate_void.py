@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterator
 
 import pytest
 
 from observers.component import Component
 from observers.instance import Instance
 from observers.model import Model, Variable
-from observers.riccati import riccati
+from observers.riccati import riccati, suprema
 from observers.riccati.certificates import ANYWHERE, INSIDE, NONE
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 
@@ -25,6 +26,14 @@ CURVED = Model(
     ode=lambda x, u, p, t: [-p.k * x.x + 0.1 * x.x**2 + u.u],
     output=lambda x, u, p, t: [x.x + 0.05 * x.x**2],
 )
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_cells() -> Iterator[None]:
+    """The suprema are at the ends of the region, whatever it is cut into; 256 cells take seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(suprema, "CELLS", 8)
+        yield
 
 
 @functools.cache
