@@ -63,8 +63,8 @@ TUNING = (
     ),
     Port(
         "tuning.residual_limit",
-        "rms output residual, in units of the outputs' nominal values (with an arrival cost: of tuning.measurement_noise), above which the "
-        "status is inconsistent",
+        "rms output residual, in units of tuning.measurement_noise where there is one, else of the outputs' nominal values, above which "
+        "the status is inconsistent",
         start=1e30,
         min=0.0,
         variability="tunable",
@@ -88,8 +88,8 @@ DIAGNOSTICS = (
     *ports.VERDICT,
     Port(
         "diagnostics.cost",
-        "integral over the window of the squared output residual, in units of the outputs' nominal values (with an arrival cost: of "
-        "tuning.measurement_noise)",
+        "integral over the window of the squared output residual, in units of tuning.measurement_noise where there is one, else of the "
+        "outputs' nominal values",
         "s",
         variability="discrete",
     ),

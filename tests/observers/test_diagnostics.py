@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from swing import CONVERGENT, EXACT, SWING, T0, TS
 
+from observers.elementary import elementary
 from observers.instance import Instance
+from observers.least_squares import least_squares
+from observers.model import ModelError, Variable
+from observers.pseudospectral import pseudospectral
 from observers.status import CODE
+from observers.ukf import ukf
 from reference_models.plant import plant
 
 KINDS = {name: made[0] for name, made in (EXACT | CONVERGENT).items()}
@@ -43,6 +49,37 @@ def test_the_innovation_is_the_sample_less_the_output_of_the_estimate_before_it(
         found.append(observer.get("diagnostics.innovation"))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
     assert min(np.abs(expected[1:])) > 1e-6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_before_the_first_sample_everything_is_the_guess_and_nothing_has_happened(kind: str) -> None:
+    run = Instance(KINDS[kind](TS), GUESS, t0=T0)
+    shown = dict(zip([port.name for port in run.component.outputs], run.outputs(), strict=True))
+    for name, value in GUESS.items():
+        last = name.removeprefix("guess.")
+        assert shown[f"estimate.{last}"] == value == shown[f"filtered.{last}"]
+        # The default deviation of a guess is its nominal value.
+        if kind in ("ukf", "riccati", "riccati, stiff", "least_squares"):
+            assert shown[f"diagnostics.std.{last}"] == pytest.approx(1, rel=1e-14)
+    assert (shown["diagnostics.status"], shown["diagnostics.trusted"]) == (CODE.propagated_guess, 0)
+    for name, value in shown.items():
+        if name.rsplit(".")[-1] in (
+            "innovation",
+            "rejected_samples",
+            "solver_failures",
+            "restarts",
+            "intervals",
+            "cost",
+        ):
+            assert value == 0, name
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_called_after_its_model_and_its_method(kind: str) -> None:
+    method = {"segments": "pseudospectral", "arrival cost": "pseudospectral", "spline": "pseudospectral"}.get(
+        kind, kind
+    )
+    assert KINDS[kind](TS).name == f"swing_{method.split(',')[0]}"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -103,3 +140,19 @@ def test_the_status_is_uncertain_where_a_standard_deviation_exceeds_its_limit(ki
     largest = follow(first)[-1][0]
     rows = follow(Instance(made, GUESS | {"tuning.deviation_limit": part * largest}, t0=T0))
     assert rows[-1][1:] == ((CODE.uncertain, 0) if part < 1 else (CODE.estimating, 1))
+
+
+@pytest.mark.parametrize("kind", ["ukf", "least_squares", "pseudospectral", "elementary"])
+def test_a_state_that_no_output_ever_sees_is_refused_by_name(kind: str) -> None:
+    hidden = replace(
+        SWING,
+        states=[*SWING.states, Variable("c")],
+        ode=lambda x, u, p, t: [x.b, u.u - x.a, x.a - x.c],
+        output=lambda x, u, p, t: [x.a],
+    )
+    make = {"ukf": ukf, "least_squares": least_squares, "pseudospectral": pseudospectral, "elementary": elementary}[
+        kind
+    ]
+    more = {"pseudospectral": {"N": 5}, "elementary": {"N": 5}, "least_squares": {"T": 1.0}}.get(kind, {})
+    with pytest.raises(ModelError, match=f"{kind}: model 'swing' is not observable: no output ever sees c"):
+        make(hidden, sample_time=TS, **more)

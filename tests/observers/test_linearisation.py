@@ -50,9 +50,9 @@ def test_values_and_derivatives_are_those_of_the_equations_in_the_order_states_t
         expected = np.column_stack(
             [(function(m + e, u, k, t) - function(m - e, u, k, t)) / (2 * h) for e in h * np.eye(3)]
         )
-        np.testing.assert_allclose(made(m, u, k, t).full(), expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(made(m, u, k, t).full(), expected, rtol=0, atol=6e-10)
     expected = (rates(m, u, k, t + h) - rates(m, u, k, t - h)) / (2 * h)
-    np.testing.assert_allclose(line.rate_t(m, u, k, t).full().ravel(), expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(line.rate_t(m, u, k, t).full().ravel(), expected, rtol=0, atol=4e-10)
 
 
 def hidden(rate: float, **changes: object) -> Model:

@@ -97,7 +97,7 @@ def test_the_riccati_observer_given_deviations_is_the_kalman_filter_with_samples
     made: Callable[[Component], Path],
 ) -> None:
     fmu = Slave(made(riccati(PLANE, sample_time=TS, **BY_NAME))).initialize(TEXTBOOK)
-    assert_allclose(list(driven(fmu, 80)), list(kalman(80, forget=True)), rtol=0, atol=1e-9)
+    assert_allclose(list(driven(fmu, 80)), list(kalman(80, forget=True)), rtol=0, atol=2e-13)
     assert fmu.get("diagnostics.rejected_samples") == 0  # a sample that never came is not a rejected one
     fmu.fmu.freeInstance()
 
@@ -106,7 +106,7 @@ def test_the_ukf_given_deviations_is_the_kalman_filter_with_samples_missing(made
     """Process noise enters the UKF at the samples, not along the interval: without it the two are the same."""
     still = {**BY_NAME, "process_noise": dict.fromkeys(NAMES, 0.0)}
     fmu = Slave(made(ukf(PLANE, sample_time=TS, **still))).initialize(TEXTBOOK)
-    assert_allclose(list(driven(fmu, 80)), list(kalman(80, forget=False)), rtol=0, atol=1e-9)
+    assert_allclose(list(driven(fmu, 80)), list(kalman(80, forget=False)), rtol=0, atol=7e-13)
     fmu.fmu.freeInstance()
 
 
@@ -130,7 +130,7 @@ def test_least_squares_given_deviations_is_the_kalman_filter_without_process_noi
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R[np.ix_(there[k], there[k])])
             m, P = m + K @ (y[k, there[k]] - H @ m), P - K @ H @ P
         m, P = Phi @ m, Phi @ P @ Phi.T
-        assert_allclose([fmu.get(f"estimate.{v}") for v in NAMES], m, rtol=0, atol=1e-9)
+        assert_allclose([fmu.get(f"estimate.{v}") for v in NAMES], m, rtol=0, atol=6e-13)
     fmu.fmu.freeInstance()
 
 
@@ -162,7 +162,7 @@ def test_after_a_reset_least_squares_trusts_its_estimate_by_the_initial_deviatio
     K = P @ H.T / (H @ P @ H.T + 2 * NOISE["y1"] ** 2)
     middle = np.linalg.solve(np.eye(3) - K @ H, filtered - K[:, 0] * y[10, 0])
     assert abs(H @ middle - y[10, 0]) <= abs(H @ before - y[10, 0])
-    assert_allclose(Phi_inverse @ [run.get(f"estimate.{v}") for v in NAMES], filtered, rtol=0, atol=1e-9)
+    assert_allclose(Phi_inverse @ [run.get(f"estimate.{v}") for v in NAMES], filtered, rtol=0, atol=1e-13)
 
 
 SWING = Model(

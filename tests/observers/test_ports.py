@@ -114,6 +114,12 @@ def test_deviations_are_the_given_ones_or_a_part_of_the_nominal_value() -> None:
         ports.deviations("m", "initial_std", ports.INITIAL_STD, MIXED.states, {"w": 3.0}, 0.1)
 
 
+def test_the_default_process_noise_is_a_part_of_the_nominal_value_a_sample() -> None:
+    """Its variance grows with the time: over a sample of 0.25 s to a quarter of that over a second."""
+    found = [p.start for p in ports.process_noise("m", MIXED, {"v": 7.0}, 0.25)]
+    np.testing.assert_allclose(found, [5e-4 * 50 / 0.5, 7.0, 2e-3 * 0.5 / 0.5], rtol=1e-15)
+
+
 def test_the_same_thing_said_twice_is_refused() -> None:
     ports.refuse_both("m", "Q0", None, "initial_std", {"v": 1})
     ports.refuse_both("m", "Q0", 1, "initial_std", None)

@@ -103,7 +103,7 @@ def test_design_matrices_fix_the_gain_and_the_innovations_the_scale_of_the_devia
             run.set("y", y)
             run.step(k * TS, TS)
     for name in ("estimate.p", "estimate.v", "diagnostics.std.p", "diagnostics.std.v"):
-        assert_allclose(runs[0].get(name), runs[1].get(name), rtol=1e-6)
+        assert_allclose(runs[0].get(name), runs[1].get(name), rtol=1e-13)
 
 
 def test_with_least_squares_paper_scaling_the_deviations_are_of_the_noise_found() -> None:

@@ -81,7 +81,7 @@ def test_the_printed_sign_of_5_6_gives_an_eigenvalue_of_plus_2_19_somewhere_and_
     x = np.array([0.8, 0.1, 10.0])
     G = gamma(exact(relaxed(MOTOR), region(MOTOR), [-10.0] * 3), MOTOR, x, 2.0, [-10, -10, -10, 1e-9])
     ours = np.linalg.eigvals(motor_jacobian(x) - (motor_jacobian(x) @ C.T + G) @ C)
-    np.testing.assert_allclose(np.poly(ours), np.poly([-10, -10, -10]), rtol=1e-9)
+    np.testing.assert_allclose(np.poly(ours), np.poly([-10, -10, -10]), rtol=1e-13)
     G[2, 0] = -G[2, 0]
     printed = np.linalg.eigvals(motor_jacobian(x) - (motor_jacobian(x) @ C.T + G) @ C)
     assert printed.real.max() == pytest.approx(2.19, abs=0.01)
@@ -111,7 +111,7 @@ def test_a_non_cyclic_pair_gets_a_preliminary_injection():
     gain = exact(relaxed(twins), region(twins), [-3.0, -4.0])
     assert "J_p" in gain.description
     J = gamma(gain, twins, [0.3, 0.4], [], [-3, -4, 1e-9]) - np.eye(2)  # (3.2) with A = -I, C = I
-    np.testing.assert_allclose(np.sort(np.linalg.eigvals(-np.eye(2) - J).real), [-4, -3], rtol=1e-9)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(-np.eye(2) - J).real), [-4, -3], rtol=1e-13)
 
 
 AUTONOMOUS = dataclasses.replace(  # u inside the ODE, exactly: held or interpolated, it would limit the order
@@ -233,7 +233,7 @@ def test_a_measurement_that_no_state_explains_fails_the_solve_and_keeps_the_pred
             if failed:
                 assert run.get("filtered.a") == prediction and run.get("diagnostics.lambda") == 0
         assert run.get("diagnostics.solver_failures") == 1
-        assert run.get("estimate.a") == pytest.approx(math.exp(-0.3), abs=1e-3)
+        assert run.get("estimate.a") == pytest.approx(math.exp(-0.3), abs=1e-13)
 
 
 @pytest.mark.parametrize("form", ["w", "bdf"])
@@ -286,7 +286,7 @@ def test_an_unknown_force_is_estimated_and_the_velocity_is_not_disturbed_by_it(f
     )
     mean = (velocity(times) - velocity(times - 0.01)) / 0.01
     expected = mean if form == "w" else force(times)
-    assert np.abs(found[5:, 0] - expected[5:]).max() < 1e-3
+    assert np.abs(found[5:, 0] - expected[5:]).max() < 4e-4
     assert np.abs(found[:, 1] - velocity(times)).max() < 1e-9 and np.abs(found[300:, 2]).max() < 1e-3
 
 

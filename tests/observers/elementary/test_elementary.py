@@ -133,7 +133,7 @@ def test_a_problem_without_controls_is_one_for_its_initial_state_alone(level: st
         for one in (true, observer):
             one.step(0.1 * k, 0.1)
     for state in ("a", "b"):
-        assert abs(observer.get(f"estimate.{state}") - true.get(f"x.{state}")) <= 1e-4
+        assert abs(observer.get(f"estimate.{state}") - true.get(f"x.{state}")) <= 3e-8
 
 
 def window(model: Model, N: int, s: float, W: np.ndarray) -> list[Any]:
@@ -205,7 +205,7 @@ def test_without_disturbances_the_visibility_is_the_gramians() -> None:
     expected = np.sqrt(eigh(gramian, powers[-1].T @ powers[-1])[0][0] / N)
     blank = [np.zeros((2, N)), np.zeros((0, N - 1)), np.zeros((1, N)), np.ones((1, N))]
     inputs = [np.zeros((0, N - 1))] * 2 + [np.zeros((0, N)), np.ones((1, N - 1)), 3.0, s, []]
-    assert float(least_visible(model, N)(*blank, *inputs)[0]) == pytest.approx(expected, rel=0.01)
+    assert float(least_visible(model, N)(*blank, *inputs)[0]) == pytest.approx(expected, rel=3e-4)
 
 
 def test_tuning_has_a_weight_for_every_problem_control_and_average() -> None:
@@ -238,7 +238,7 @@ def test_a_rejected_sample_leaves_the_prediction_and_does_not_disturb_those_afte
         if k in (30, 31, 45):
             assert observer.get("diagnostics.status") == CODE.sample_rejected
         if k >= 20:
-            assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 1e-4, k
+            assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 8e-6, k
     assert observer.get("diagnostics.rejected_samples") == 3
     assert observer.get("diagnostics.solver_failures") == 0
 
@@ -251,7 +251,7 @@ def test_a_solve_that_is_not_finite_starts_a_new_window() -> None:
         if 30 <= k <= 33:  # three outliers in a row are none any more
             assert observer.get("diagnostics.status") == (CODE.outlier if k < 33 else CODE.solver_failed)
     assert observer.get("diagnostics.solver_failures") >= 1
-    assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 1e-4
+    assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 4e-6
 
 
 def test_with_noise_the_weights_decide_how_much_is_believed() -> None:
@@ -282,7 +282,7 @@ def test_a_known_sign_is_enough_where_the_disturbance_rests_at_it() -> None:
         for one in (true, observer):
             one.step(0.1 * k, 0.1)
         assert observer.get("estimate.v") >= 0.0
-    assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 0.01
+    assert abs(observer.get("estimate.x2") - true.get("x.x2")) <= 3e-4
     assert observer.get("diagnostics.status") == CODE.estimating
 
 
@@ -303,7 +303,7 @@ def test_the_iteration_limit_bounds_a_sample_and_the_next_one_goes_on() -> None:
         if k > 1:
             assert free.get("diagnostics.iterations") > 1
             assert bound.get("diagnostics.status") in (CODE.iterating, CODE.inconsistent)
-    assert abs(bound.get("filtered.x2") - free.get("filtered.x2")) < 1e-3
+    assert abs(bound.get("filtered.x2") - free.get("filtered.x2")) < 2e-7
 
 
 @pytest.mark.parametrize("N", [3, 8, 41])
@@ -338,5 +338,5 @@ def test_measured_states_with_a_disturbance_each_are_found_exactly(rates: Any, m
         if k < N:
             continue
         found = [observer.get(f"filtered.{name}") for name in ("v", "w", "a", "b")]
-        assert_allclose(found, [*true[k], *forces[k - 1]], rtol=0, atol=1e-9, err_msg=str(k))
+        assert_allclose(found, [*true[k], *forces[k - 1]], rtol=0, atol=5e-11, err_msg=str(k))
         assert observer.get("diagnostics.visibility") > 1

@@ -79,3 +79,37 @@ def test_one_absurd_sample_is_forgotten_at_once():
     innovations[100] = 1e9
     raised = stepper(1)(innovations, 1e-4)
     assert list(np.flatnonzero(raised[:, 0])) == [100] and np.flatnonzero(raised[:, 1]).size <= 3
+
+
+@pytest.mark.parametrize("scale", [1.2, 2.0, 3.0])
+def test_the_last_samples_are_weighed_as_satterthwaite_says(scale):
+    """Over 300 samples of two outputs, a third of them missing: numpy's sums of all the past, scipy's quantiles."""
+    rng, false_alarm, ages = np.random.default_rng(7), 1e-2, np.arange(300)[::-1]
+    innovations, valid = scale * rng.normal(size=(300, 2)), rng.random((300, 2)) > 0.3
+    raised = stepper(2)(innovations, false_alarm, valid)
+    shown = np.where(valid, innovations, 0)
+    squared, dof = np.sum(shown**2, axis=1), valid.sum(axis=1)
+    limits, bound = chi2.isf(false_alarm, np.maximum(dof, 1)), np.sqrt(chi2.isf(false_alarm, 1))
+    near, compared = 0.02, []
+    for k in range(300):
+        expected, clear = False, True
+        for n in consistency.WINDOWS:
+            weight = ((n - 1) / (n + 1)) ** ages[-k - 1 :]
+            D1, D2 = weight @ dof[: k + 1], weight**2 @ dof[: k + 1]
+            if D1 <= 1:
+                continue
+            total = weight @ np.minimum(squared, limits)[: k + 1]
+            ratios = [total * D1 / (D2 * chi2.isf(false_alarm, D1**2 / D2))]
+            for i in range(2):
+                sums = weight @ np.clip(shown[: k + 1, i], -bound, bound)
+                ratios.append(sums**2 / max(weight**2 @ valid[: k + 1, i] * bound**2, 1e-30))
+            expected |= max(ratios) > 1
+            clear &= not any(abs(ratio - 1) < near for ratio in ratios)
+        if clear:
+            compared.append((expected, raised[k, 1]))
+    found = np.array(compared)
+    np.testing.assert_array_equal(found[:, 0], found[:, 1])
+    assert len(found) > 250 and found[:, 0].sum() > 0
+    np.testing.assert_array_equal(
+        raised[np.abs(squared / limits - 1) > near, 0], (squared > limits)[np.abs(squared / limits - 1) > near]
+    )

@@ -42,9 +42,10 @@ def test_triangular_solves_and_the_inverse_are_numpys(n: int) -> None:
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (2, 5), (4, 4)])
-def test_a_square_root_is_choleskys_of_a_times_its_transpose(n: int, m: int) -> None:
-    A = np.random.default_rng(2).normal(size=(n, m))
-    np.testing.assert_allclose(of(linear.square_root, A), np.linalg.cholesky(A @ A.T), rtol=0, atol=1e-14)
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_a_square_root_is_choleskys_of_a_times_its_transpose(n: int, m: int, scale: float) -> None:
+    A = scale * np.random.default_rng(2).normal(size=(n, m))
+    np.testing.assert_allclose(of(linear.square_root, A), np.linalg.cholesky(A @ A.T), rtol=0, atol=1e-14 * scale)
 
 
 def test_a_square_root_of_dependent_rows_has_a_zero_not_a_division_by_one() -> None:

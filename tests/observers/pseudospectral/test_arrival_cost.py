@@ -148,7 +148,7 @@ def test_without_noise_it_costs_no_accuracy_once_the_guess_is_forgotten():
     component = pseudospectral(
         DUFFING, sample_time=TS, N=15, L=8, arrival_cost=True, measurement_noise={"y": 1e-3}, initial_std={"theta": 1.0}
     )
-    assert settled_rms(component, y, x).max() < 1e-5
+    assert settled_rms(component, y, x).max() < 2e-7
 
 
 def test_nonlinear_outputs_two_unknowns_and_an_input_inside_the_nonlinearity_take_it_too():
@@ -166,7 +166,7 @@ def test_nonlinear_outputs_two_unknowns_and_an_input_inside_the_nonlinearity_tak
         p.step(k * TS, TS)
         run.step(k * TS, TS)
     found = [run.get(f"filtered.{name}") for name in ("x1", "x2", "x3", "theta", "bias")]
-    np.testing.assert_allclose(found, true, atol=1e-6)
+    np.testing.assert_allclose(found, true, rtol=0, atol=1e-6)
     assert run.get("diagnostics.solver_failures") == 0
 
 
@@ -191,7 +191,7 @@ def test_a_gap_longer_than_the_window_is_bridged_with_the_filters_accuracy():
     for k in range(60):
         told(run, y[k], u[k], valid[k], k)
         kalman.correct(y[k], u[k], valid[k])
-        np.testing.assert_allclose([run.get(f"filtered.x{i}") for i in (1, 2, 3)], kalman.x, rtol=0, atol=1e-8)
+        np.testing.assert_allclose([run.get(f"filtered.x{i}") for i in (1, 2, 3)], kalman.x, rtol=0, atol=1e-13)
         if valid[k].all() and k >= 5:  # the first sample after the gap may leave the estimate open
             assert run.get("diagnostics.status") in (CODE.estimating, CODE.uncertain)
         kalman.predict(u[k], u[k + 1])
@@ -270,7 +270,7 @@ def test_the_fmu_with_an_arrival_cost_is_the_kalman_filter(slave: Callable[..., 
         for run in (fmu, face):
             told(run, y[k], u[k], valid[k], k)
         kalman.correct(y[k], u[k], valid[k])
-        np.testing.assert_allclose([fmu.get(f"filtered.x{i}") for i in (1, 2, 3)], kalman.x, atol=1e-8)
+        np.testing.assert_allclose([fmu.get(f"filtered.x{i}") for i in (1, 2, 3)], kalman.x, rtol=0, atol=1e-8)
         names = [port.name for port in face.component.outputs]
         np.testing.assert_allclose([fmu.get(name) for name in names], face.outputs(), rtol=1e-9, atol=1e-11)
         kalman.predict(u[k], u[k + 1])

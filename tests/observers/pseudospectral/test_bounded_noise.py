@@ -16,7 +16,7 @@ from cosim.results import Result
 from moving_window import NONLINEAR
 from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
-from observers.pseudospectral import pseudospectral
+from observers.pseudospectral import bounded_noise, pseudospectral
 from observers.status import CODE
 from reference_models.duffing import DUFFING_KNOWN
 from reference_models.plant import plant
@@ -223,3 +223,12 @@ def test_the_fmu_with_a_tube_is_the_python_face(catalogue_slave: Callable) -> No
             one.set("y", value)
             one.step(0.1 * k, 0.1)
         np.testing.assert_allclose([fmu.get(n) for n in names], face.outputs(), rtol=0, atol=1e-8)
+
+
+def test_the_tube_has_a_bound_for_each_output_and_a_margin_of_five_thousandths() -> None:
+    made = bounded_noise.ports_of(NONLINEAR, {"y1": 0.1, "y2": 0.3})
+    assert {port.name: (port.start, port.min) for port in made.tuning} == {
+        "tuning.noise_bound[1]": (0.1, 0.0),
+        "tuning.noise_bound[2]": (0.3, 0.0),
+        "tuning.bound_margin": (5e-3, 0.0),
+    }

@@ -102,12 +102,12 @@ def test_on_a_linear_model_with_a_segment_a_sample_the_estimate_is_the_kalman_fi
         kalman.correct(y[k], u[k], valid[k])
         if kind == "held" or valid[k].any():
             found = [run.get(f"filtered.{name}") for name in names]
-            np.testing.assert_allclose(found, kalman.x, rtol=0, atol=1e-9, err_msg=f"sample {k}")
+            np.testing.assert_allclose(found, kalman.x, rtol=0, atol=1e-13, err_msg=f"sample {k}")
         kalman.predict(u[k], u[k + 1])
         if kind == "held":
-            np.testing.assert_allclose([run.get(f"estimate.{name}") for name in names], kalman.x, rtol=0, atol=1e-9)
+            np.testing.assert_allclose([run.get(f"estimate.{name}") for name in names], kalman.x, rtol=0, atol=2e-13)
         std = [run.get(f"diagnostics.std.{name}") for name in names]
-        np.testing.assert_allclose(std, np.sqrt(np.diag(kalman.P)), rtol=5e-4, err_msg=f"sample {k}")
+        np.testing.assert_allclose(std, np.sqrt(np.diag(kalman.P)), rtol=2e-4, err_msg=f"sample {k}")
     assert run.get("diagnostics.solver_failures") == 0
 
 
@@ -185,7 +185,7 @@ def test_a_term_that_the_collocation_solves_for_changes_nothing():
             told(run, y[k], u[k], valid[k], k)
         for what in ("estimate", "diagnostics.std"):
             a, b = ([run.get(f"{what}.{name}") for name in STD] for run in runs)
-            np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
 
 
 def biased(as_disturbance=False):
@@ -237,10 +237,10 @@ def test_a_bias_that_wanders_is_the_kalman_filters_too(as_disturbance, L, driven
         run.step(k * TS, TS)
         kalman.correct(y[k], 0.0, np.ones(2, bool))
         found = [run.get(f"filtered.{name}") for name in ("p", "v", "b")]
-        np.testing.assert_allclose(found, kalman.x, rtol=0, atol=1e-9, err_msg=f"sample {k}")
+        np.testing.assert_allclose(found, kalman.x, rtol=0, atol=1e-13, err_msg=f"sample {k}")
         kalman.predict(0.0, 0.0)
         std = [run.get(f"diagnostics.std.{name}") for name in ("p", "v", "b")]
-        np.testing.assert_allclose(std, np.sqrt(np.diag(kalman.P)), rtol=5e-4)
+        np.testing.assert_allclose(std, np.sqrt(np.diag(kalman.P)), rtol=3e-5)
 
 
 @pytest.mark.parametrize(("L", "segments"), [(6, 3), (4, 1)])
@@ -290,10 +290,10 @@ def test_with_several_samples_a_segment_it_is_the_windows_generalised_least_squa
         s, *_ = np.linalg.lstsq(stacked, aim, rcond=None)
         if arrival or k >= 3:
             found = [run.get(f"filtered.x{i}") for i in (1, 2, 3)]
-            np.testing.assert_allclose(found, state @ s + offset, rtol=0, atol=1e-8, err_msg=f"sample {k}")
+            np.testing.assert_allclose(found, state @ s + offset, rtol=0, atol=2e-10, err_msg=f"sample {k}")
             P = model.F @ state @ np.linalg.inv(stacked.T @ stacked) @ state.T @ model.F.T + Q
             std = [run.get(f"diagnostics.std.x{i}") for i in (1, 2, 3)]
-            np.testing.assert_allclose(std, np.sqrt(np.diag(P)), rtol=5e-4, err_msg=f"sample {k}")
+            np.testing.assert_allclose(std, np.sqrt(np.diag(P)), rtol=2e-4, err_msg=f"sample {k}")
         if k >= L:
             behind.correct(y[first], u[first], np.ones(2, bool))
             behind.predict(u[first], u[first + 1])
@@ -310,7 +310,7 @@ def test_an_intensity_of_zero_is_the_exact_model():
         for run in (exact, tuned):
             told(run, y[k], u[k], valid[k], k)
         a, b = ([run.get(f"estimate.x{i}") for i in (1, 2, 3)] for run in (exact, tuned))
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
 
 
 def tank(lowest=0.0):
@@ -392,7 +392,7 @@ def test_algebraic_variables_go_on_working_with_it(segments):
             run.step(k * TS, TS)
         for what in ("estimate", "diagnostics.std"):
             a, b = ([run.get(f"{what}.{name}") for name in ("v", "i")] for run in runs)
-            np.testing.assert_allclose(a, b, rtol=0, atol=1e-8)
+            np.testing.assert_allclose(a, b, rtol=0, atol=4e-12)
 
 
 def test_an_unknown_disturbance_is_followed_and_says_how_sure_it_is():

@@ -60,7 +60,7 @@ def test_nonlinear_outputs_two_unknowns_and_an_input_inside_the_nonlinearity_are
     guess = {"guess.x1": 0.5, "guess.x2": 0.0, "guess.x3": 0.0, "guess.theta": 0.3, "guess.bias": 0.0}
     observer = pseudospectral(NONLINEAR, sample_time=0.1, **structure)
     errors, run = coupled(NONLINEAR, observer, 60, 0.1, guess=guess)
-    assert errors[structure["L"] :].max() < 2e-7
+    assert errors[structure["L"] :].max() < 2e-9
     assert run.get("diagnostics.solver_failures") == 0
 
 
@@ -116,7 +116,7 @@ def test_with_noise_the_estimate_minimises_the_cost_that_scipy_minimises():
         rtol=0,
         atol=2e-7,
     )
-    assert run.get("diagnostics.cost") == pytest.approx(Ts * np.sum(best.fun**2), rel=1e-6)
+    assert run.get("diagnostics.cost") == pytest.approx(Ts * np.sum(best.fun**2), rel=2e-9)
 
 
 def DUFFING_RHS(t, x, theta):
@@ -170,7 +170,7 @@ def test_200_random_first_guesses_all_converge():
             run.set("y", y[k])
             run.step(0.1 * k, 0.1)
         error = np.abs([run.get(f"filtered.{v}") for v in ("x1", "x2", "theta")] - np.array(x[-1]))
-        assert error.max() < 1e-7, (guess, error)
+        assert error.max() < 2e-8, (guess, error)
 
 
 def started(samples=20, observer=None, **parameters):
@@ -202,10 +202,10 @@ def test_a_measurement_that_is_not_finite_is_rejected_counted_and_predicted_over
     p, o = started()
     statuses = go_on(p, o, 20, 1, lambda y, k: bad)
     assert statuses == [CODE.sample_rejected]
-    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-9
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 2e-12
     assert go_on(p, o, 21, 30) == [CODE.estimating] * 30
     assert o.get("diagnostics.rejected_samples") == 1
-    assert abs(o.get("filtered.theta") - 0.4) < 1e-8
+    assert abs(o.get("filtered.theta") - 0.4) < 8e-13
 
 
 def test_an_outage_longer_than_the_window_is_bridged_by_the_model_and_recovered_from():
@@ -213,7 +213,7 @@ def test_an_outage_longer_than_the_window_is_bridged_by_the_model_and_recovered_
     statuses = go_on(p, o, 20, 15, lambda y, k: np.nan)
     # Of nine samples in the window three are needed.
     assert list(statuses) == [CODE.sample_rejected] * 6 + [CODE.propagated_guess] * 9
-    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-7
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 2e-10
     after = go_on(p, o, 35, 20)
     assert after[-1] == CODE.estimating and o.get("diagnostics.rejected_samples") == 15
     assert np.isfinite(o.outputs()).all() and abs(o.get("estimate.x2") - p.get("x.x2")) < 1e-8
@@ -228,7 +228,7 @@ def test_a_solve_that_does_not_converge_keeps_the_prediction_is_counted_and_the_
     assert o.get("diagnostics.solver_failures") == 1
     o.set("tuning.iteration_limit", 40)
     assert go_on(p, o, 21, 30)[-1] == CODE.estimating
-    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-9
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-13
 
 
 def test_absurd_measurements_never_make_an_output_that_is_not_finite():
@@ -237,14 +237,14 @@ def test_absurd_measurements_never_make_an_output_that_is_not_finite():
     go_on(p, o, 20, 60, lambda y, k: float(rng.choice([1e149, -1e80, 1e9, np.nan, y])))
     assert np.isfinite(o.outputs()).all()
     assert go_on(p, o, 80, 120)[-1] == CODE.estimating
-    assert abs(o.get("filtered.theta") - 0.4) < 1e-7
+    assert abs(o.get("filtered.theta") - 0.4) < 3e-12
 
 
 def test_a_prediction_cheaper_than_the_threshold_is_kept_without_a_solve():
     p, o = started(tuning__cost_threshold=1e-10)
     statuses = go_on(p, o, 20, 100)
     assert statuses.count(CODE.prediction_kept) > 50
-    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-3
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-5
     assert o.get("diagnostics.solver_failures") == 0
 
 
@@ -254,7 +254,7 @@ def test_a_changed_model_parameter_is_said_for_a_windows_length():
         run.set("parameter.damping", 0.3)
     statuses = go_on(p, o, 20, 20)
     assert statuses[:8] == [CODE.parameter_changed] * 8 and CODE.parameter_changed not in statuses[8:]
-    assert abs(o.get("filtered.theta") - 0.4) < 1e-8
+    assert abs(o.get("filtered.theta") - 0.4) < 7e-10
 
 
 def test_a_window_that_does_not_determine_the_state_is_said_and_the_prediction_kept():
@@ -317,7 +317,7 @@ def scalar(**changes):
 
 def test_a_model_of_one_state_and_nothing_else_is_estimated():
     errors, _ = coupled(scalar(), pseudospectral(scalar(), sample_time=0.1, N=15), 20, 0.1, guess={"guess.a": 5.0})
-    assert errors[1:].max() < 1e-12
+    assert errors[1:].max() < 1e-13
 
 
 @pytest.mark.parametrize("through", ["linear", "product"])
@@ -337,7 +337,7 @@ def test_an_output_sees_the_input_of_its_own_instant(through):
         p.step(0.1 * k, 0.1)
         o.step(0.1 * k, 0.1)
         if k >= 2:
-            assert abs(o.get("filtered.x2") - true) < 1e-8
+            assert abs(o.get("filtered.x2") - true) < 1e-13
 
 
 def test_an_input_behind_a_settable_gain_costs_no_more_than_one_without():
@@ -359,7 +359,7 @@ def test_an_input_behind_a_settable_gain_costs_no_more_than_one_without():
         return coupled(model, observer, 100, 0.1, inputs=np.sin, guess={"guess.theta": 0.1})[0][8:].max()
 
     assert worst(gain=True) == pytest.approx(worst(gain=False), rel=1e-3)
-    assert worst(gain=True) < 5e-4
+    assert worst(gain=True) < 2e-4
 
 
 @pytest.mark.parametrize("outlier", [2e2, 1e4, 1e6, 1e10])
@@ -367,13 +367,13 @@ def test_no_outlier_locks_the_observer_out(outlier):
     p, o = started()
     go_on(p, o, 20, 3, lambda y, k: y + outlier if k != 21 else y - outlier)
     go_on(p, o, 23, 60)
-    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-8
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 6e-12
     assert o.get("diagnostics.status") == CODE.estimating
 
 
 def test_a_guess_from_which_the_prediction_overflows_is_left_behind():
     p, o = started(samples=40, guess__x1=50.0, guess__x2=-50.0)
-    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 1e-8
+    assert abs(o.get("estimate.x1") - p.get("x.x1")) < 5e-11
 
 
 @pytest.mark.parametrize("rate", [60.0, 1000.0])
@@ -392,7 +392,7 @@ def test_a_stiff_linear_part_shortens_the_prediction_step(rate):
         p.step(0.1 * k, 0.1)
         o.step(0.1 * k, 0.1)
         if k > 4:
-            assert abs(o.get("estimate.a") - p.get("x.a")) < 1e-6
+            assert abs(o.get("estimate.a") - p.get("x.a")) < 3e-8
 
 
 def test_a_window_without_any_information_is_said_not_to_determine_the_state():
@@ -416,7 +416,7 @@ def test_an_output_that_jumps_is_not_taken_for_a_linear_one():
         output=lambda x, u, p, t: [ca.fmod(x.angle, 2 * ca.pi)],
     )
     errors, _ = coupled(model, pseudospectral(model, sample_time=0.05, N=12, L=10), 60, 0.05)
-    assert errors.max() < 1e-8
+    assert errors.max() < 3e-9
 
 
 @pytest.mark.parametrize("unit", [1e-8, 1.0, 1e6])
@@ -447,7 +447,7 @@ def test_with_the_spline_cost_a_flat_guess_is_never_taken_for_data(missing):
         p.step(0.1 * k, 0.1)
         o.step(0.1 * k, 0.1)
         if o.get("diagnostics.status") == CODE.estimating:
-            assert abs(o.get("filtered.x1") - true) < 5e-3
+            assert abs(o.get("filtered.x1") - true) < 8e-4
     assert o.get("diagnostics.status") == CODE.estimating
 
 

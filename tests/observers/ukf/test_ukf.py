@@ -53,11 +53,11 @@ def test_on_a_linear_model_it_is_the_kalman_filter_with_missing_samples_too(miss
         if here.any():
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + noise)
             x, P = x + K @ (y[here] - H @ x), (np.eye(2) - K @ H) @ P
-        np.testing.assert_allclose([run_ukf.get("filtered.x1"), run_ukf.get("filtered.x2")], x, atol=1e-10)
+        np.testing.assert_allclose([run_ukf.get("filtered.x1"), run_ukf.get("filtered.x2")], x, rtol=0, atol=1e-13)
         x, P = F @ x + G * u, F @ P @ F.T
-        np.testing.assert_allclose([run_ukf.get("estimate.x1"), run_ukf.get("estimate.x2")], x, atol=1e-9)
+        np.testing.assert_allclose([run_ukf.get("estimate.x1"), run_ukf.get("estimate.x2")], x, rtol=0, atol=1e-13)
         found = [run_ukf.get("diagnostics.std.x1"), run_ukf.get("diagnostics.std.x2")]
-        np.testing.assert_allclose(found, np.sqrt(np.diag(P + Q * TS)), atol=1e-9)
+        np.testing.assert_allclose(found, np.sqrt(np.diag(P + Q * TS)), rtol=0, atol=1e-13)
 
 
 def test_its_errors_are_as_large_as_its_covariance_says() -> None:
@@ -159,6 +159,21 @@ def test_a_tuning_of_something_unknown_is_refused_by_name() -> None:
         ukf(DUFFING, sample_time=0.1, measurement_noise={"u": 1.0})
     with pytest.raises(ValueError, match="sample_time = 0 must be at least"):
         ukf(DUFFING, sample_time=0.0)
+
+
+@pytest.mark.parametrize(("states", "words"), [(49, "no output ever sees"), (50, "51 states and unknown parameters")])
+def test_more_than_fifty_estimates_are_refused_before_anything_is_built(states: int, words: str) -> None:
+    """What is said of fifty, of which the outputs see two, is another thing."""
+    model = Model(
+        name="wide",
+        states=[Variable(f"x{i}") for i in range(states)],
+        unknown_parameters=[Variable("a")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-p.a * getattr(x, f"x{i}") for i in range(states)],
+        output=lambda x, u, p, t: [x.x0],
+    )
+    with pytest.raises(ModelError, match=words):
+        ukf(model, sample_time=0.1)
 
 
 @pytest.mark.parametrize("least", [0.0, -math.inf], ids=["bounded", "unbounded"])

@@ -1,0 +1,204 @@
+"""What the filters make of their innovations, by the numbers of docs/ukf.md: gate, restarts, trust, and the scale of the deviations."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from observers.model import Model, Variable
+from observers.status import CODE
+from observers.vigilance import Watch, status_of, verdict
+
+MODEL = Model(
+    name="pair",
+    states=[Variable("a", nominal=2.0), Variable("b", nominal=5.0)],
+    outputs=[Variable("y1"), Variable("y2")],
+    ode=lambda x, u, p, t: [x.b, -x.a],
+    output=lambda x, u, p, t: [x.a, x.b],
+)
+N = 2
+VARIANCES = np.array([0.25, 4.0])
+SETTLED = 2 * N  # samples until the estimate counts, where the noise is given
+
+
+class Watched:
+    """Sees samples whose innovations are given in deviations of either output; `level` of theirs multiplies those of the filter."""
+
+    def __init__(self, known: bool = True, weighted: bool = False, gate: float = 10.0, samples: int = 0):
+        self.watch, self.gate = Watch(MODEL, N, known, weighted), gate
+        memory, innovation, valid, limit = (
+            ca.SX.sym(name, size) for name, size in (("m", self.watch.state.total), ("e", 2), ("v", 2), ("gate", 1))
+        )
+        tuning = SimpleNamespace(false_alarm=1e-4, gate=limit, deviation_limit=0.3)
+        S = ca.DM(VARIANCES)
+        outlying = self.watch.gated(memory, innovation, S, valid, limit)
+        acting = ca.logic_and(valid, ca.logic_not(outlying))
+        squared = ca.sumsqr(ca.if_else(acting, innovation / ca.sqrt(S), 0))
+        said = verdict(self.watch, memory, squared, innovation, S, valid, outlying, tuning)
+        status = status_of(said, valid, ca.SX(1), ca.DM.zeros(2), tuning, MODEL.states)
+        deviations = self.watch.deviations(said.memory, ca.DM(VARIANCES))
+        out = [outlying, said.inflate, said.restart, status, deviations, self.watch.again(said.memory), said.memory]
+        self.function = ca.Function("watch", [memory, innovation, valid, limit], [ca.densify(ca.SX(o)) for o in out])
+        self.memory = self.watch.start
+        self.calm(samples)
+
+    def __call__(self, sizes: tuple[float, float], valid: tuple[int, int] = (1, 1)) -> SimpleNamespace:
+        innovation = np.where(valid, sizes * np.sqrt(VARIANCES), 0)
+        outlying, inflate, restart, status, deviations, again, self.memory = self.function(
+            self.memory, innovation, valid, self.gate
+        )
+        return SimpleNamespace(
+            outlying=outlying.full().ravel().tolist(),
+            done="restart" if restart else "inflate" if inflate else "",
+            status=int(status),
+            factor=deviations.full().ravel() / np.sqrt(VARIANCES),
+            again=float(again),
+        )
+
+    def calm(self, samples: int) -> list[int]:
+        """Statuses over samples of a third of a deviation, of either sign in turns."""
+        return [self(np.array([1, -1]) * (-1) ** k / 3).status for k in range(samples)]
+
+
+def until(watched: Watched, sizes: tuple[float, float], most: int = 200) -> tuple[int, str]:
+    """How many such samples until something is done, and what."""
+    for k in range(1, most + 1):
+        if done := watched(sizes).done:
+            return k, done
+    return most, ""
+
+
+@pytest.mark.parametrize("output", [0, 1])
+def test_an_output_beyond_the_gate_is_an_outlier_once_the_estimate_counts(output: int) -> None:
+    for samples, size, outlier in (
+        (SETTLED - 1, 10.1, 0), (SETTLED, 10.1, 1), (SETTLED, 9.9, 0), (SETTLED, -10.1, 1), (SETTLED, math.inf, 1),
+    ):  # fmt: skip
+        sizes = np.eye(2)[output] * (size if math.isfinite(size) else 1e200)
+        said = Watched(samples=samples)(sizes)
+        assert said.outlying == list(np.eye(2)[output] * outlier)
+        assert (said.status == CODE.outlier) == outlier
+    assert Watched(samples=SETTLED, gate=3.0)(3.1 * np.eye(2)[output]).outlying == list(np.eye(2)[output])
+
+
+def test_it_is_settling_until_then_and_estimating_afterwards() -> None:
+    assert Watched().calm(SETTLED + 2) == [CODE.settling] * SETTLED + [CODE.estimating] * 2
+    assert (
+        Watched(known=False).calm(32) == [CODE.settling] * 30 + [CODE.estimating] * 2
+    )  # the noise is to be found first
+
+
+def test_ten_outliers_in_a_row_start_the_covariance_again_and_twenty_after_that_the_estimate() -> None:
+    """Then forty; 60 samples that fit end it."""
+    far = (40.0, 0.0)
+    watched = Watched(samples=SETTLED)
+    assert until(watched, far) == (10, "inflate")
+    watched.calm(SETTLED)
+    assert until(watched, far) == (20, "restart")
+    watched.calm(SETTLED)
+    assert until(watched, far) == (40, "inflate")
+    watched.calm(200)
+    assert until(watched, far) == (10, "inflate")
+
+
+def test_a_sample_that_fits_takes_back_two_outliers_and_a_missing_one_none() -> None:
+    watched, far = Watched(samples=SETTLED), (40.0, 0.0)
+    for _ in range(9):
+        watched(far)
+    watched(far, (0, 0))
+    watched.calm(1)
+    assert until(watched, far) == (3, "inflate")
+
+
+def test_a_gate_of_a_million_turns_restarts_off() -> None:
+    watched = Watched(samples=SETTLED, gate=1e6)
+    assert until(watched, (1e7, 0.0)) == (200, "")
+
+
+def test_samples_in_a_row_far_off_but_within_the_gate_start_it_again_at_the_eleventh() -> None:
+    """8 of nu' S^-1 nu / dof count at most, 2.5 are usual, and 60 are too many; what is missing does not count."""
+    watched = Watched(samples=SETTLED)
+    for _ in range(10):
+        assert watched((9.0, 9.0)).done == ""
+    for _ in range(5):
+        assert watched((9.0, 9.0), (0, 0)).done == ""
+    said = watched((9.0, 9.0))
+    assert (said.done, said.status) == ("inflate", CODE.inconsistent)
+    watched = Watched(samples=SETTLED)
+    assert until(watched, (1.5, 1.5)) == (200, "")  # 2.25 is below what is usual
+
+
+def test_one_of_two_outputs_counts_by_itself() -> None:
+    watched = Watched(samples=SETTLED)
+    for _ in range(10):
+        assert watched((9.0, 0.0), (1, 0)).done == ""
+    assert watched((9.0, 0.0), (1, 0)).done == "inflate"
+
+
+def test_trust_is_away_for_four_samples_for_each_that_contradicted_and_five_hundred_at_most() -> None:
+    once, thrice, always = (Watched(samples=40, gate=1e6) for _ in range(3))
+    assert once((6.0, 0.0)).status == CODE.inconsistent  # within the gate, beyond chance
+    assert set(once.calm(50)) == {CODE.estimating}
+    for _ in range(3):
+        thrice((6.0, 0.0))
+    for _ in range(300):
+        always((6.0, 0.0))
+    # The tests of the last few samples go on contradicting for at most 60 samples.
+    for watched, least, most in ((thrice, 3 * 4 - 4, 64 * 4), (always, 500 - 4, 500 + 60)):
+        later = watched.calm(800)
+        away = later.index(CODE.estimating)
+        assert least <= away <= most and set(later[away:]) == {CODE.estimating}
+
+
+def test_after_a_restart_of_a_papers_design_it_is_away_for_a_thousand() -> None:
+    watched = Watched(weighted=True, samples=SETTLED)
+    assert until(watched, (40.0, 0.0)) == (10, "inflate")
+    later = watched.calm(1100)
+    assert later.index(CODE.estimating) == 1000 - 4 - 1 and set(later[:SETTLED]) == {CODE.inconsistent}
+
+
+@pytest.mark.parametrize("size", [0.2, 3.0])
+def test_the_deviations_are_in_the_scale_of_the_innovations_where_nobody_says_what_the_noise_is(size: float) -> None:
+    """Of 30 samples of `size` deviations: so many times the filter's own; a missing one of two outputs changes nothing."""
+    watched = Watched(known=False)
+    for k in range(30):
+        said = watched(size * np.array([1.0, -1.0]) * (-1) ** k, (1, k % 3 > 0))
+        np.testing.assert_allclose(said.factor, size, rtol=1e-12)
+        watched((9.0, 9.0), (0, 0))
+    np.testing.assert_allclose(watched((9.0, 9.0), (0, 0)).factor, size, rtol=1e-12)
+
+
+def test_deviations_of_a_given_noise_are_the_filters_own() -> None:
+    watched = Watched()
+    for k in range(60):
+        np.testing.assert_array_equal(watched(3 * np.array([1.0, -1.0]) * (-1) ** k).factor, 1)
+
+
+def test_of_a_papers_design_the_first_covariance_comes_again_in_the_scale_of_the_start() -> None:
+    """Innovations of 3 deviations at first: 9 times the variance. Later they are small, and the scale has come down."""
+    for weighted, factor in ((True, 9.0), (False, 1.0)):
+        watched = Watched(known=False, weighted=weighted)
+        for k in range(600):
+            size = 3.0 if k < 30 else 0.3
+            said = watched(size * np.array([1.0, -1.0]) * (-1) ** k)
+        np.testing.assert_allclose(said.again * said.factor[0] ** 2, factor if weighted else said.factor[0] ** 2)
+        assert said.factor[0] < 0.5
+
+
+@pytest.mark.parametrize("part", [0.99, 1.01])
+def test_the_status_is_by_severity(part: float) -> None:
+    """Of what is true of a sample the gravest: a missing output, an outlier, a deviation beyond its limit, a failed correction."""
+    tuning = SimpleNamespace(deviation_limit=0.3)
+    kept = SimpleNamespace(cases=((1, CODE.outlier),))
+    for v, finite, deviations, expected in (
+        ((1, 1), 1, (0, 0), CODE.outlier),
+        ((0, 1), 1, (0, 0), CODE.sample_rejected),
+        ((0, 1), 1, (0.6 * part, 0), CODE.uncertain if part > 1 else CODE.sample_rejected),
+        ((1, 1), 1, (0, 1.5 * part), CODE.uncertain if part > 1 else CODE.outlier),
+        ((1, 1), 0, (9, 9), CODE.solver_failed),
+    ):
+        found = status_of(kept, ca.DM(v), ca.DM(finite), ca.DM(deviations), tuning, MODEL.states)  # type: ignore[arg-type]
+        assert float(found) == expected
