@@ -17,7 +17,7 @@ from observers.ukf import ukf
 from reference_models.duffing import DUFFING
 from reference_models.gong_2007 import rlc
 from reference_models.plant import plant
-from toys import double_toy, draining_toy, feedthrough_toy, growing_toy, sampled_toy
+from toys import double_toy, draining_toy, feedthrough_toy, growing_toy, guarded_toy, sampled_toy
 
 MOVED = Model(
     name="moved",
@@ -32,6 +32,7 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     "growing_toy": growing_toy,
     "double_toy": double_toy,
     "draining_toy": draining_toy,
+    "guarded_toy": guarded_toy,
     "rlc": rlc,
     "duffing": lambda: plant(DUFFING, jumps={"theta": 2}),
     "duffing_segments": lambda: pseudospectral(DUFFING, sample_time=0.1, N=7, L=8, segments=4, name="duffing_segments"),

@@ -92,6 +92,7 @@ AREAS = {
             "tests/fmu_src/native/test_shell.py",
             "tests/fmu_src/native/test_lifecycle.py",
             "tests/fmu_src/native/test_states.py",
+            "tests/fmu_src/native/test_unevaluated.py",
         ),
     ),
     "description": Area(
