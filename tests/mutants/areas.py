@@ -100,9 +100,8 @@ AREAS = {
         (
             "tests/fmu_src/description",
             "tests/fmu_src/native/test_native.py",
-            "tests/fmu_src/native/test_sources.py",
-            "tests/fmu_src/native/test_embedded.py",
-            "tests/fmu_src/native/test_shell.py",
+            "tests/fmu_src/native/test_lifecycle.py",
+            "tests/fmu_src/native/test_unevaluated.py",
         ),
     ),
     "python_target": Area(("fmu_src/python/*.py",), ("tests/fmu_src/python",)),

@@ -76,7 +76,7 @@ def test_every_branch_of_the_circuit_is_followed_to_its_singularity(
         text,
     )
     assert found is not None, text
-    assert float(found[1]) == pytest.approx(end, abs=2e-3) and 0 < float(found[2]) < 0.1
+    assert float(found[1]) == pytest.approx(end, abs=1e-3) and 0 < float(found[2]) < 0.1
 
 
 def test_both_faces_end_at_the_singularity_with_the_same_words_and_the_last_good_state(slave: Make) -> None:
@@ -92,11 +92,11 @@ def test_both_faces_end_at_the_singularity_with_the_same_words_and_the_last_good
 
 def test_a_draining_tank_follows_torricellis_law_until_it_is_empty(slave: Make) -> None:
     fmu = slave("draining_toy").initialize({"start.level": 1.44})
-    assert (fmu.get("z.outflow"), fmu.get("z.head")) == pytest.approx((1.2, 1.44), rel=1e-14)
+    assert (fmu.get("z.outflow"), fmu.get("z.head")) == pytest.approx((1.2, 1.44), rel=1e-15, abs=0)
     for k in range(23):
         fmu.step(0.1 * k, 0.1)
         left = 1.2 - 0.05 * (k + 1)
-        assert (fmu.get("x.level"), fmu.get("y")) == pytest.approx((left**2, left), abs=1e-11)
+        assert (fmu.get("x.level"), fmu.get("y")) == pytest.approx((left**2, left), abs=4e-15)
     message = fmu.refuses(lambda: fmu.step(2.3, 0.1))  # empty at 2.4
     assert re.search(r"the algebraic equations do not determine 'outflow' .* at t = 2\.39\d", message)
 
@@ -106,9 +106,9 @@ def test_algebraic_variables_follow_an_input_at_once(slave: Make) -> None:
     fmu.step(0.0, 0.1)
     level = fmu.get("x.level")
     fmu.set("lift", 8.0)
-    assert fmu.get("y") == pytest.approx(math.sqrt(level + 8), rel=1e-14)
+    assert fmu.get("y") == pytest.approx(math.sqrt(level + 8), rel=1e-15, abs=0)
     fmu.step(0.1, 0.1)
-    assert fmu.get("x.level") + 8 == pytest.approx((math.sqrt(level + 8) - 0.05) ** 2, rel=1e-12)
+    assert fmu.get("x.level") + 8 == pytest.approx((math.sqrt(level + 8) - 0.05) ** 2, rel=2e-15, abs=0)
 
 
 def test_start_values_without_a_solution_are_refused_by_both_faces(slave: Make) -> None:
@@ -153,7 +153,7 @@ def test_a_branch_of_the_algebraic_equations_is_followed_to_its_end_and_never_le
     for k in range(steps):
         x = 0.1 * k
         roots = np.sort(np.roots([1, 0, -3, -x]).real)
-        assert run.get("z.z") == pytest.approx(roots[branch], abs=1e-7)
+        assert run.get("z.z") == pytest.approx(roots[branch], abs=2e-14)
         run.step(x, 0.1)
     if end:
         with pytest.raises(ValueError, match=r"fold: the algebraic equations do not determine 'z' .* at t = (1\.9|2)"):
