@@ -13,7 +13,7 @@ import pytest
 
 import strict_fmu
 from build_fmus import FMUS, SYSTEMS, Build, build_all
-from components import COMPONENTS
+from components import COMPONENTS, STRAIGHT
 from cosim.master import run
 from cosim.results import Result
 from cosim.system import Element, System, write_ssp
@@ -39,7 +39,7 @@ def built(shared: Path) -> Paths:
     """The path of the FMU called `name`, one of COMPONENTS, built for this machine at the first call."""
 
     def fill(name: str, folder: Path) -> None:
-        with compiled_once():
+        with compiled_once(optimised=name not in STRAIGHT):
             export(COMPONENTS[name](), folder)
 
     def build(name: str) -> Path:

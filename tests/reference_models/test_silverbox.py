@@ -70,7 +70,7 @@ def test_the_evaluation_is_exact_on_exact_estimates_and_sees_wrong_ones() -> Non
     x = solve_ivp(rhs, (0.0, time[-1]), [0.05, 3.0], t_eval=time, max_step=SAMPLE_TIME / 4, rtol=1e-9, atol=1e-12).y.T
     exact = np.column_stack([x, np.full(n, K1), np.full(n, K3)])
     found = evaluate(exact, u, x[:, 0])
-    assert found.k1_deviation == found.k3_deviation == 0 and found.prediction_rms < 1e-15
+    assert found.k1_deviation == found.k3_deviation == 0 and found.prediction_rms < 1e-7
     assert predict(exact, u).shape == (n - AHEAD,)
     wrong = evaluate(exact * [1, 1, 1.05, 0.9], u, x[:, 0])
     assert wrong.k1_deviation == pytest.approx(0.05) and wrong.k3_deviation == pytest.approx(-0.1)
