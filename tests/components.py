@@ -69,7 +69,7 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     "linear_3_least_squares": lambda: linear_models.least_squares(3),
     **{f"linear_{n}_riccati": partial(linear_models.riccati, n) for n in range(1, linear_models.LARGEST + 1)},
 }
-# Of these tests ask what they estimate, and that is the same to the last bit without optimisation, which takes long for them.
+# Of these tests ask what they estimate, to some digits: optimisation, which takes long for them, changes the last bits at most.
 STRAIGHT = {
     "linear_arrival",
     "linear_noise",

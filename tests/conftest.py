@@ -89,8 +89,8 @@ def _instances(unpacked: Paths) -> Iterator[Callable[..., Slave]]:
 def catalogue_fmu(shared: Path) -> Paths:
     """The path of the catalogue's FMU called `name`, built at the first call, without CI not optimised.
 
-    What optimisation could change is asked of the FMUs that `built` gives: the C of the shell is the same, that of the
-    models is long lines of arithmetic.
+    What optimisation could change is asked of the FMUs that `built` gives: the C of the shell is the same, and that of the
+    models, long lines of arithmetic, differs in the last bits at most.
     """
 
     def fill(name: str, folder: Path) -> None:

@@ -104,7 +104,7 @@ AREAS = {
             "tests/fmu_src/native/test_unevaluated.py",
         ),
     ),
-    "python_target": Area(("fmu_src/python/*.py",), ("tests/fmu_src/python",)),
+    "python_target": Area(("fmu_src/python/*.py",), ("tests/fmu_src/python/test_python_target.py",)),
     "compliance": Area(("fmu_src/compliance/**/*.py",), ("tests/fmu_src/compliance",)),
     "cosim": Area(
         ("cosim/*.py", "cosim/system/*.py", "cosim/master/*.py", "cosim/masters/*.py"),

@@ -139,7 +139,9 @@ def test_a_finished_campaign_does_not_run_again_and_more_runs_go_on_from_there(
     records = sorted((tmp_path / "runs").iterdir())
     times = [path.stat().st_mtime_ns for path in records]
     first = table(tmp_path)
-    campaign(system, tmp_path, runs=4, vary=VARY, workers=1)
+    told: list[tuple[int, int]] = []
+    campaign(system, tmp_path, runs=4, vary=VARY, workers=1, progress=lambda done, total: told.append((done, total)))
+    assert told == [(2, 4), (3, 4), (4, 4)]  # those of before are done from the start
     assert [path.stat().st_mtime_ns for path in records] == times
     assert table(tmp_path)[:2] == first and len(table(tmp_path)) == 4
     monkeypatch.setattr(module, "connected", lambda *_: pytest.fail("it runs again"))

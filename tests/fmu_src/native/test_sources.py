@@ -98,10 +98,10 @@ def test_three_fmus_linked_into_one_program_give_what_their_shared_libraries_giv
     assert len(folders) == len(THREE)
     objects: list[Path] = []
     for model, folder in folders.items():
-        for source in [*sources(folder), RUN]:  # -O0: warnings and bits with optimisation are the next test's
+        for source in [*sources(folder), RUN]:
             objects.append(tmp_path / f"{model}_{source.stem}.o")
             defined = [f"-DFMI2_FUNCTION_PREFIX={model}_", *(runner(folder, model) if source == RUN else [])]
-            call([*cc, *STRICT, "-O0", *defined, "-I", folder / "sources", "-c", source, "-o", objects[-1]], tmp_path)
+            call([*cc, *STRICT, *defined, "-I", folder / "sources", "-c", source, "-o", objects[-1]], tmp_path)
             foreign = {s for s in symbols(objects[-1], "--extern-only") if not s.startswith(f"{model}_")}
             assert foreign == ({f"run_{model}"} if source == RUN else set()), source
     declared = "".join(f"int run_{model}(void);\n" for model in folders)
