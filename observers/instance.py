@@ -12,13 +12,18 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from observers.clock import COARSE, NANOSECONDS, RESOLUTION, SNAP, Clock
 from observers.component import Component, bounds, check_sample_time
 
 MOST_SUBSTEPS = 1e6  # in one step: nothing can interrupt them
+UNDEFINED = {  # what is said where a function of the component cannot be evaluated
+    "start": "the start values give no finite state",
+    "flow": "the motion could not be evaluated",
+    "jump": "the sample could not be evaluated",
+    "output": "the outputs could not be evaluated",
+}
 
 
 class Instance:
@@ -33,7 +38,7 @@ class Instance:
 
     Raises:
         ValueError: an unknown name, a parameter outside its bounds, an impossible sample time, a start state that is not
-            finite.
+            finite or cannot be evaluated.
     """
 
     def __init__(
@@ -45,7 +50,7 @@ class Instance:
         stop: float = math.inf,
     ):
         self.component = component
-        self._evaluate = {name: _evaluation(function) for name, function in component.functions.items()}
+        self._evaluate = {name: _evaluation(component, name) for name in component.functions}
         self._p_index = {port.name: i for i, port in enumerate(component.parameters)}
         self._u_index = {port.name: i for i, port in enumerate(component.inputs)}
         self._y_index = {port.name: i for i, port in enumerate(component.outputs)}
@@ -120,8 +125,8 @@ class Instance:
         Raises:
             ValueError: t is half a step or more off the current time, h is not positive or exceeds the sample time of a component that
                 samples its inputs, t + h lies beyond the stop time, t is so large that doubles cannot tell steps or sample instants
-                apart, h takes more than 10^6 substeps, the state or an output would not be finite, or the component's motion
-                cannot go on. The instance is then unchanged.
+                apart, h takes more than 10^6 substeps, the state or an output would not be finite, a function of the component
+                cannot be evaluated, or its motion cannot go on. The instance is then unchanged.
         """
         component = self.component
         clock = self._clock_after(t, h)
@@ -254,8 +259,9 @@ class Instance:
         return known[name]
 
 
-def _evaluation(function: ca.Function) -> Callable[..., np.ndarray]:
-    """`function` on columns of doubles, through CasADi's buffers: a call of `Function` itself costs 100 us more."""
+def _evaluation(component: Component, name: str) -> Callable[..., np.ndarray]:
+    """The function on columns of doubles, through CasADi's buffers: a call of `Function` itself costs 100 us more."""
+    function = component.functions[name]
     made: tuple[Any, Callable[[], None]] = function.buffer()
     buffer, evaluate = made
     arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
@@ -263,13 +269,18 @@ def _evaluation(function: ca.Function) -> Callable[..., np.ndarray]:
     for i, argument in enumerate(arguments):
         buffer.set_arg(i, argument.data)
     buffer.set_res(0, result.data)
+    time = arguments[1 if name == "start" else 3]
 
     def call(*values: np.ndarray | float) -> np.ndarray:
         for argument, value in zip(arguments, values, strict=True):
             argument[...] = value
-        evaluate()
-        if buffer.ret() != 0:
-            raise ArithmeticError(f"'{function.name()}' could not be evaluated")
+        try:
+            evaluate()
+            undefined = buffer.ret() != 0  # compiled functions answer so, CasADi's own raise
+        except RuntimeError:
+            undefined = True
+        if undefined:
+            raise ValueError(f"{component.name}: {UNDEFINED[name]} at t = {time[0]:.15g}")
         return result.copy()
 
     return call

@@ -1,12 +1,23 @@
-"""What several processes need, made once."""
+"""What several processes need, made once; what several runs need, compiled once."""
 
 from __future__ import annotations
 
+import hashlib
+import importlib
+import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
 from pathlib import Path
 
+import pytest
 from filelock import FileLock
+
+from fmu_src.native import compiler
+from tools import ROOT
+
+LIBRARIES = ROOT / ".cache" / "tests"
 
 
 def once(folder: Path, fill: Callable[[Path], object]) -> Path:
@@ -18,3 +29,30 @@ def once(folder: Path, fill: Callable[[Path], object]) -> Path:
             fill(scratch)
             scratch.rename(folder)
     return folder
+
+
+@contextmanager
+def compiled_once(optimised: bool = True) -> Iterator[None]:
+    """Exports within it take the library that an earlier run compiled of the same C with the same flags.
+
+    zig's own cache does not serve here: it compiles anew what lies in another folder. Not `optimised`: no optimisation, which takes most
+    of the time, but in CI, where every FMU is as it is shipped.
+    """
+
+    def compile_library(name: str, folder: Path, platform: str) -> bytes:
+        digest = hashlib.sha256(repr((version("ziglang"), compiler.FLAGS, compiler.LINK, name, platform)).encode())
+        for path in sorted(folder.iterdir()):
+            digest.update(f"{path.name} {path.stat().st_size} ".encode() + path.read_bytes())
+        made = once(
+            LIBRARIES / digest.hexdigest(),
+            lambda to: (to / "library").write_bytes(compiler.compile_library(name, folder, platform)),
+        )
+        return (made / "library").read_bytes()
+
+    flags = compiler.FLAGS
+    if not optimised and not os.environ.get("CI"):
+        flags = tuple("-O0" if flag == "-O2" else flag for flag in flags)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler, "FLAGS", flags)
+        patch.setattr(importlib.import_module("fmu_src.export"), "compile_library", compile_library)
+        yield

@@ -199,3 +199,31 @@ def double_toy() -> Component:
         stop_time=1.0,
         step_size=0.1,
     )
+
+
+def guarded_toy() -> Component:
+    """level' = 1, by functions that refuse to be evaluated where parameters say so: an assertion, which CasADi's C answers with its code.
+
+    The motion refuses the substep around `stuck_at`, the sample the instant `blind_at`, the outputs a level beyond `highest`.
+    """
+    names = ("start.level", "kick", "stuck_at", "blind_at", "highest")
+    z, u, p, t, h = ca.MX.sym("z", 1), ca.MX.sym("u", 0), ca.MX.sym("p", 5), ca.MX.sym("t"), ca.MX.sym("h")
+    start, _, stuck, blind, highest = ca.vertsplit(p)
+    moves = ca.logic_or(stuck < t, t + h < stuck)
+    return Component(
+        name="guarded_toy",
+        description="Functions that are not defined everywhere",
+        start=ca.Function("start", [p, t], [start.attachAssert(start > 0, "no start")]),
+        flow=ca.Function("flow", [z, u, p, t, h], [(z + h).attachAssert(moves, "no motion")]),
+        jump=ca.Function("jump", [z, u, p, t], [z.attachAssert(ca.fabs(t - blind) > 1e-3, "no sample")]),
+        output=ca.Function("output", [z, u, p, t], [z.attachAssert(z <= highest, "no output")]),
+        parameters=(
+            Port(names[0], "level at the start", start=1.0, variability="fixed"),
+            Port(names[1], "the right-hand side jumps", "s", start=0.06, variability="fixed"),
+            *(Port(name, "where a function refuses", start=9.0, variability="tunable") for name in names[2:]),
+        ),
+        outputs=(Port("level", "the level"),),
+        sample_time=0.04,
+        breaks=("kick",),
+        max_step=0.01,
+    )

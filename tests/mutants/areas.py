@@ -92,6 +92,7 @@ AREAS = {
             "tests/fmu_src/native/test_shell.py",
             "tests/fmu_src/native/test_lifecycle.py",
             "tests/fmu_src/native/test_states.py",
+            "tests/fmu_src/native/test_unevaluated.py",
         ),
     ),
     "description": Area(
@@ -99,12 +100,11 @@ AREAS = {
         (
             "tests/fmu_src/description",
             "tests/fmu_src/native/test_native.py",
-            "tests/fmu_src/native/test_sources.py",
-            "tests/fmu_src/native/test_embedded.py",
-            "tests/fmu_src/native/test_shell.py",
+            "tests/fmu_src/native/test_lifecycle.py",
+            "tests/fmu_src/native/test_unevaluated.py",
         ),
     ),
-    "python_target": Area(("fmu_src/python/*.py",), ("tests/fmu_src/python",)),
+    "python_target": Area(("fmu_src/python/*.py",), ("tests/fmu_src/python/test_python_target.py",)),
     "compliance": Area(("fmu_src/compliance/**/*.py",), ("tests/fmu_src/compliance",)),
     "cosim": Area(
         ("cosim/*.py", "cosim/system/*.py", "cosim/master/*.py", "cosim/masters/*.py"),

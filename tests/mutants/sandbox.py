@@ -116,6 +116,8 @@ class Sandbox:
         child = os.fork()
         if child == 0:
             os.setsid()
+            # A run in the background ignores an interrupt, and so would what its tests start and interrupt.
+            signal.signal(signal.SIGINT, signal.default_int_handler)
             os.chdir(self.tree)
             with log.open("w") as out:
                 os.dup2(out.fileno(), 1)

@@ -53,7 +53,7 @@ def test_example_2_recovers_within_L_plus_1_samples_of_each_jump_and_says_so(exa
     np.testing.assert_array_equal(np.unique(result["plant.x.theta"]), [0.1, 0.3, 0.4])
     for jump in (100, 200):  # the sample at the jump still belongs to the old value
         assert found[jump + 1 : jump + 8].max() > 1e-3
-        assert found[jump + 9 : jump + 100].max() <= 1e-4
+        assert found[jump + 9 : jump + 100].max() <= 4e-10
         assert set(status[jump + 1 : jump + 8]) <= {CODE.inconsistent, CODE.solver_failed}
     assert found[8:101].max() <= 1e-7
     # Once the window holds no sample from before a jump it is trusted again after as many samples.
@@ -61,12 +61,12 @@ def test_example_2_recovers_within_L_plus_1_samples_of_each_jump_and_says_so(exa
     assert set(status[110:119]) | set(status[210:219]) <= {CODE.estimating, CODE.settling}
 
 
-def test_example_3a_is_exact_to_1e_7(example: Catalogue) -> None:
-    assert errors(example("gong_example_3a"))[80:].max() <= 1e-7
+def test_example_3a_is_exact_to_1e_8(example: Catalogue) -> None:
+    assert errors(example("gong_example_3a"))[80:].max() <= 1e-8
 
 
-def test_example_3b_is_exact_to_1e_7(example: Catalogue) -> None:
-    assert errors(example("gong_example_3b"))[10:].max() <= 1e-7
+def test_example_3b_is_exact_to_3e_8(example: Catalogue) -> None:
+    assert errors(example("gong_example_3b"))[10:].max() <= 3e-8
 
 
 @pytest.mark.parametrize("parts", [1, 2, 10])
@@ -92,11 +92,11 @@ def test_outputs_are_the_estimate_of_their_own_time_for_random_steps_that_hit_th
             plant.step(begin, end - begin)
             observer.step(begin, end - begin)
             if k > 8:
-                assert abs(observer.get("estimate.x1") - plant.get("x.x1")) < 1e-7
-                assert abs(observer.get("estimate.x2") - plant.get("x.x2")) < 1e-7
+                assert abs(observer.get("estimate.x1") - plant.get("x.x1")) < 5e-8
+                assert abs(observer.get("estimate.x2") - plant.get("x.x2")) < 5e-8
 
 
-def test_the_plant_is_accurate_to_1e_9_over_50_s_with_jumps_of_theta(catalogue_fmu: Callable[[str], Path]) -> None:
+def test_the_plant_is_accurate_to_5e_10_over_50_s_with_jumps_of_theta(catalogue_fmu: Callable[[str], Path]) -> None:
     element = Element(
         catalogue_fmu("duffing"),
         {
@@ -124,8 +124,8 @@ def test_the_plant_is_accurate_to_1e_9_over_50_s_with_jumps_of_theta(catalogue_f
             t_eval=np.union1d(np.minimum(times, end), end),
         ).y
         rows = np.isin(result.time, times)
-        assert np.abs(result["plant.x.x1"][rows] - reference[0, : len(times)]).max() <= 1e-9
-        assert np.abs(result["plant.x.x2"][rows] - reference[1, : len(times)]).max() <= 1e-9
+        assert np.abs(result["plant.x.x1"][rows] - reference[0, : len(times)]).max() <= 5e-10
+        assert np.abs(result["plant.x.x2"][rows] - reference[1, : len(times)]).max() <= 5e-10
         x = reference[:, -1]
 
 
@@ -156,7 +156,7 @@ def test_the_python_face_and_the_fmu_agree_over_a_whole_run(name: str, example: 
         observer.set("y", result["plant.y"][k])
         observer.step(result.time[k], result.step)
         expected = np.array([result[f"observer.{output}"][k + 1] for output in names])
-        np.testing.assert_allclose(observer.outputs(), expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(observer.outputs(), expected)
 
 
 def test_the_python_plant_and_the_fmu_agree_over_a_whole_run(example: Catalogue) -> None:
@@ -170,4 +170,4 @@ def test_the_python_plant_and_the_fmu_agree_over_a_whole_run(example: Catalogue)
     plant = Instance(FMUS["duffing"][0](), start)
     for k in range(len(result.time) - 1):
         plant.step(result.time[k], result.step)
-        np.testing.assert_allclose(plant.outputs(), result.values[k + 1, :4], rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(plant.outputs(), result.values[k + 1, :4])

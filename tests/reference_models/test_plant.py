@@ -323,30 +323,3 @@ def test_a_sine_and_a_ramp_follow_their_formulas() -> None:
         slope.step(t, 0.1)
     assert [port.start for port in sine().parameters] == [1.0, 1.0, 0.0, 0.0]
     assert [port.start for port in ramp().parameters] == [0.5, 1.0, 1.0]
-
-
-@pytest.mark.parametrize(("guess", "end"), [(-1.7, 2.0), (0.1, None), (1.7, None)])
-def test_a_branch_of_the_algebraic_equations_is_followed_to_its_end_and_never_left_for_another(guess, end) -> None:
-    """z^3 - 3 z = x with x = t: the lowest of three branches ends at x = 2, where the highest still has a solution."""
-    fold = Model(
-        name="fold",
-        states=[Variable("x")],
-        algebraic=[Variable("z", start=guess)],
-        outputs=[Variable("y")],
-        ode=lambda x, z, u, p, t: [1],
-        output=lambda x, z, u, p, t: [x.x],
-        algebraic_equations=lambda x, z, u, p, t: [z.z**3 - 3 * z.z - x.x],
-    )
-    run = Instance(plant(fold, max_step=0.05))
-    branch = {-1.7: 0, 0.1: 1, 1.7: 2}[guess]
-    steps = 19 if end else 18
-    for k in range(steps):
-        x = 0.1 * k
-        roots = np.sort(np.roots([1, 0, -3, -x]).real)
-        assert run.get("z.z") == pytest.approx(roots[branch], abs=1e-7)
-        run.step(x, 0.1)
-    if end:
-        with pytest.raises(ValueError, match=r"fold: the algebraic equations do not determine 'z' .* at t = (1\.9|2)"):
-            for k in range(steps, 25):
-                run.step(0.1 * k, 0.1)
-        assert run.get("z.z") < -1

@@ -176,6 +176,30 @@ def test_a_description_of_too_many_tags_is_refused_before_it_is_read(
         check(make())
 
 
+def test_what_is_as_large_as_the_limits_allow_is_checked_and_nothing_that_is_larger(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = make({BINARY: None, "extra/x.xml": b"<x/>", "extra/a/b/c.txt": b""})
+    with zipfile.ZipFile(path) as archive:
+        document, entries = archive.read("modelDescription.xml"), archive.infolist()
+    sizes = {
+        "MOST_BYTES": sum(entry.file_size for entry in entries),
+        "MOST_BYTES_OF_DESCRIPTION": len(document),
+        "MOST_BYTES_OF_XML": len(b"<x/>"),
+        "MOST_FILES": len(entries),
+        "MOST_FOLDERS": 3,
+        "MOST_MARKS": document.count(b"<") + document.count(b"="),
+    }
+    for limit, size in sizes.items():
+        monkeypatch.setattr(package, limit, size)
+    check(path)
+    for limit, size in sizes.items():
+        monkeypatch.setattr(package, limit, size - 1)
+        with pytest.raises(NotAnFmu, match=r"at most .* are (checked|unpacked) here"):
+            check(path)
+        monkeypatch.setattr(package, limit, size)
+
+
 def test_where_processes_cannot_fork_each_case_has_a_server_of_its_own(
     make: Make, sound: Contents, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -89,7 +89,8 @@ def identifier(folder: Path) -> str:
     return str(fmpy.read_model_description(str(folder)).coSimulation.modelIdentifier)
 
 
-@pytest.mark.parametrize("name", COMPILERS)
+# zig makes the binaries of every other test.
+@pytest.mark.parametrize("name", ["gcc", pytest.param("zig", marks=pytest.mark.long)])
 def test_three_fmus_linked_into_one_program_give_what_their_shared_libraries_give(
     name: str, unpacked: Path_of, tmp_path: Path
 ) -> None:

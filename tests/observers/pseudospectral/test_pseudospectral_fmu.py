@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from build_fmus import FMUS, Build, build_all
 from observers.status import CODE
 from tools import ROOT, TESTS
 
@@ -146,10 +147,10 @@ def test_a_refused_call_names_the_culprit_and_loses_nothing(
     assert slave.outputs() == clean.outputs()
 
 
-def test_built_again_from_another_folder_the_observer_has_the_same_bytes(
-    catalogue_fmu: Callable[[str], Path], tmp_path: Path
-) -> None:
+@pytest.mark.long  # its short form, with a small component: tests/fmu_src/native/test_native.py
+def test_built_again_from_another_folder_the_observer_has_the_same_bytes(tmp_path: Path) -> None:
+    build_all(Build(fmus={NAME: FMUS[NAME]}), tmp_path / "first", ["host"])
     command = [sys.executable, str(ROOT / "build_fmus.py"), "--only", NAME, "--out", "again"]
     subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHONHASHSEED": "7"}, capture_output=True, check=True)
     again = tmp_path / "again" / f"{NAME}.fmu"
-    assert again.read_bytes() == catalogue_fmu(NAME).read_bytes()
+    assert again.read_bytes() == (tmp_path / "first" / f"{NAME}.fmu").read_bytes()
