@@ -169,11 +169,14 @@ def verdict(
     dof = ca.sum1(valid)
     normalised = ca.if_else(valid, innovation / ca.sqrt(ca.fmax(unit * variances, 1e-300)), 0)
     result = tested(s.tests, whole / unit, normalised, valid, tuning.false_alarm)
-    raised = ca.logic_or(result.lately, ca.logic_and(result.alone, ca.sum1(outlying) == 0))
+    gross = ca.sum1(outlying) > 0
+    loud = ca.logic_or(result.lately, ca.logic_and(result.alone, ca.logic_not(gross)))
+    # One outlier alone lets the tests of the last few samples fail: it contradicts nothing where the sample before it did not either.
+    lone = ca.logic_and(gross, ca.logic_and(s.row == 0, s.quiet > 0))
+    raised = ca.logic_and(loud, ca.logic_not(lone))
     mean = whole / ca.fmax(dof, 1)
     settled = s.age >= watch.settle
 
-    gross = ca.sum1(outlying) > 0
     row = ca.if_else(dof > 0, ca.if_else(gross, s.row + 1, ca.fmax(s.row - 2, 0)), s.row)
     usual = mean / watch._unit(s.level, variances)
     ratio = ca.if_else(finite(usual), ca.fmin(usual, LARGEST), LARGEST)
@@ -193,11 +196,11 @@ def verdict(
     tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + again, MOST_TRIES), 0)
     turn = ca.if_else(again, ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
     beginning = 0 if watch.known else ca.logic_and(s.restarted == 0, s.age < FINDING)
-    most = ca.if_else(beginning, HUGE, ca.if_else(raised, HEARD, LARGEST) * s.level)
+    most = ca.if_else(beginning, HUGE, ca.if_else(loud, HEARD, LARGEST) * s.level)
     heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
     growing = ca.if_else(beginning, (s.age + 3) / 3, ca.fmin(s.age + 1, MEMORY))
     memory_of = ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, growing)
-    rate = 1 / ca.if_else(ca.logic_and(raised, ca.logic_not(beginning)), 2 * MEMORY, memory_of)
+    rate = 1 / ca.if_else(ca.logic_and(loud, ca.logic_not(beginning)), 2 * MEMORY, memory_of)
     level = ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
     peak = ca.if_else(beginning, ca.fmax(s.peak, level), s.peak)
     level = ca.fmax(level, 1) if watch.known else ca.fmin(level, MOST_LEVEL * peak)

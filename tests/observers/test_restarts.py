@@ -80,3 +80,4 @@ def test_a_sample_acts_within_ten_deviations_of_its_innovation_and_not_beyond(ki
             reference.sample(y)
         np.testing.assert_allclose(run.get("filtered.a"), reference.x[0], rtol=0, atol=1e-12)
         reference.move()
+    assert (run.get("diagnostics.status") == CODE.outlier) == (abs(part) > 1)

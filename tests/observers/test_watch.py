@@ -84,6 +84,18 @@ def test_an_output_beyond_the_gate_is_an_outlier_once_the_estimate_counts(output
     assert Watched(samples=SETTLED, gate=3.0)(3.1 * np.eye(2)[output]).outlying == list(np.eye(2)[output])
 
 
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_one_outlier_contradicts_nothing_and_a_second_in_a_row_does(size: float) -> None:
+    """Whatever the size of the innovations before it; nor does one among many, ten samples later."""
+    watched = Watched()
+    for k in range(60):
+        watched(size * np.array([1.0, -1.0]) * (-1) ** k)
+    assert watched((40.0, 0.0)).status == CODE.outlier
+    assert watched((size, 0.0)).status == CODE.estimating
+    watched.calm(10)
+    assert [watched((40.0, 0.0)).status for _ in range(3)] == [CODE.outlier, CODE.inconsistent, CODE.inconsistent]
+
+
 def test_it_is_settling_until_then_and_estimating_afterwards() -> None:
     assert Watched().calm(SETTLED + 2) == [CODE.settling] * SETTLED + [CODE.estimating] * 2
     assert (
