@@ -198,6 +198,7 @@ def verdict(
     beginning = 0 if watch.known else ca.logic_and(s.restarted == 0, s.age < FINDING)
     most = ca.if_else(beginning, HUGE, ca.if_else(loud, HEARD, LARGEST) * s.level)
     heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
+    # Sample k of the first weighs (k + 1)(k + 2): the very first are compared with a covariance that is the guess's, and say little.
     growing = ca.if_else(beginning, (s.age + 3) / 3, ca.fmin(s.age + 1, MEMORY))
     memory_of = ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, growing)
     rate = 1 / ca.if_else(ca.logic_and(loud, ca.logic_not(beginning)), 2 * MEMORY, memory_of)

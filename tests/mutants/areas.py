@@ -23,7 +23,10 @@ class Area:
         return sorted(path.relative_to(root).as_posix() for path in found if path.stat().st_size)
 
 
-SHARED = ("tests/observers/test_explicit_time.py", "tests/observers/test_diagnostics.py")
+SHARED = tuple(
+    f"tests/observers/test_{name}.py"
+    for name in ("explicit_time", "diagnostics", "failures", "restarts", "linear_inputs")
+)
 
 
 def _method(name: str) -> Area:
@@ -42,6 +45,12 @@ AREAS = {
             "tests/observers/test_linearisation.py",
             "tests/fmu_src/description/test_units.py",
             "tests/observers/test_tuning.py",
+            "tests/observers/test_judgement.py",
+            "tests/observers/test_clock.py",
+            "tests/observers/test_bounds.py",
+            "tests/observers/test_watch.py",
+            "tests/observers/test_free_motion.py",
+            "tests/observers/test_failures.py",
         ),
     ),
     "numerics": Area(
@@ -54,6 +63,9 @@ AREAS = {
             "tests/observers/pseudospectral/window",
             "tests/observers/pseudospectral/test_segments.py",
             "tests/observers/pseudospectral/test_pseudospectral.py",
+            "tests/observers/pseudospectral/test_process_noise.py",
+            "tests/observers/pseudospectral/test_wandering_parameter.py",
+            "tests/observers/pseudospectral/test_window_diagnostics.py",
         ),
     ),
     "pseudospectral": Area(
@@ -64,6 +76,8 @@ AREAS = {
             "tests/observers/pseudospectral/test_arrival_cost.py",
             "tests/observers/pseudospectral/test_bounded_noise.py",
             "tests/observers/pseudospectral/test_constraints.py",
+            "tests/observers/pseudospectral/test_wandering_parameter.py",
+            "tests/observers/pseudospectral/test_window_diagnostics.py",
         ),
     ),
     "riccati": _method("riccati"),
