@@ -206,6 +206,23 @@ def test_a_compass_in_half_a_turn_either_way_is_followed_through_many_turns(kind
     assert run.get("estimate.phi") > 40 and run.get("diagnostics.trusted") == 1
 
 
+@pytest.mark.parametrize(("L", "arrival", "quiet"), [(8, False, 20), (30, False, 31), (8, True, 60)])
+def test_trust_returns_once_the_tests_have_been_quiet_for_long_enough(L: int, arrival: bool, quiet: int) -> None:
+    """As trust.md says: for a window, 20 samples at least, with an arrival cost 60."""
+    noises = NOISE if arrival else {"measurement_noise": NOISE["measurement_noise"]}
+    component = pseudospectral(LINEAR, sample_time=TS, N=6 if L < 10 else 16, L=L, arrival_cost=arrival, **noises)
+    rng, run, x, F, said = np.random.default_rng(4), Instance(component), np.array([1.0, 0.0]), expm(A * TS), []
+    for k in range(200):
+        run.set("y", x[0] + 0.1 * rng.normal() + (1.5 if 60 <= k < 66 else 0.0))
+        run.step(k * TS, TS)
+        said.append(run.get("diagnostics.status"))
+        x = F @ x
+    last = max(k for k, status in enumerate(said) if status == CODE.inconsistent)
+    assert 60 <= last < 110
+    assert set(said[last + 1 : last + quiet]) == {CODE.settling}
+    assert said[last + quiet] in (CODE.estimating, CODE.outlier)
+
+
 def test_a_constant_offset_and_a_slow_drift_are_found() -> None:
     """A sensor of the position of an oscillator that swings about 0."""
     for change in (lambda k: 0.5, lambda k: 0.01 * (k - 100)):
