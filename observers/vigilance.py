@@ -53,6 +53,7 @@ MEMORY = 100  # samples, of `level`
 # Times the level, what a sample that contradicts counts at most: cut lower, squares of Gaussian innovations have so small a mean that they
 # would contradict the level for ever.
 HEARD = 4.0
+HEARD_BY_DESIGN = 2.0  # the same of a paper's design, whose innovations die away slowly
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
@@ -196,12 +197,17 @@ def verdict(
     tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + again, MOST_TRIES), 0)
     turn = ca.if_else(again, ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
     beginning = 0 if watch.known else ca.logic_and(s.restarted == 0, s.age < FINDING)
-    most = ca.if_else(beginning, HUGE, ca.if_else(loud, HEARD, LARGEST) * s.level)
+    most = ca.if_else(
+        beginning, HUGE, ca.if_else(loud, HEARD_BY_DESIGN if watch.weighted else HEARD, LARGEST) * s.level
+    )
     heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
-    # Sample k of the first weighs (k + 1)(k + 2): the very first are compared with a covariance that is the guess's, and say little.
-    growing = ca.if_else(beginning, (s.age + 3) / 3, ca.fmin(s.age + 1, MEMORY))
+    # Sample k of the first weighs (k + 1)(k + 2): the very first are compared with a covariance that is the guess's, and say little. Of a
+    # paper's design, which converges slowly, they say most.
+    early = s.age + 1 if watch.weighted else (s.age + 3) / 3
+    growing = ca.if_else(beginning, early, ca.fmin(s.age + 1, MEMORY))
     memory_of = ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, growing)
-    rate = 1 / ca.if_else(ca.logic_and(loud, ca.logic_not(beginning)), 2 * MEMORY, memory_of)
+    slow = 0 if watch.weighted else ca.logic_and(loud, ca.logic_not(beginning))
+    rate = 1 / ca.if_else(slow, 2 * MEMORY, memory_of)
     level = ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
     peak = ca.if_else(beginning, ca.fmax(s.peak, level), s.peak)
     level = ca.fmax(level, 1) if watch.known else ca.fmin(level, MOST_LEVEL * peak)

@@ -107,7 +107,7 @@ def test_on_a_linear_model_with_a_segment_a_sample_the_estimate_is_the_kalman_fi
         if kind == "held":
             np.testing.assert_allclose([run.get(f"estimate.{name}") for name in names], kalman.x, rtol=0, atol=2e-13)
         std = [run.get(f"diagnostics.std.{name}") for name in names]
-        np.testing.assert_allclose(std, np.sqrt(np.diag(kalman.P)), rtol=2e-4, err_msg=f"sample {k}")
+        np.testing.assert_allclose(std, np.sqrt(np.diag(kalman.P)), rtol=1e-3, err_msg=f"sample {k}")
     assert run.get("diagnostics.solver_failures") == 0
 
 
