@@ -1,9 +1,9 @@
 """What bounds a deadline: instructions of a step, median and worst, under noise and under outliers: python -m benchmarks.worst_case.
 
 Of every observer of the catalogue, and three more that `benchmarks.trust` judges. Each FMU is built and driven natively on the streams of
-`benchmarks.streams.catalogue`; callgrind counts each fmi2DoStep by itself. Counts are per
-step of one sample; a few percent depend on the processor, for which glibc picks its cosine. The time is that of the step with the most
-instructions, driven from Python without callgrind: processor time, the least of three runs.
+`benchmarks.streams.catalogue`; callgrind counts each fmi2DoStep by itself. Counts are per step of one sample; a few percent depend on
+the processor, for which glibc picks its cosine. The time is that of the step with the most instructions, driven from Python without
+callgrind: processor time, the least of three runs.
 """
 
 from __future__ import annotations

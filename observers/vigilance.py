@@ -196,21 +196,7 @@ def verdict(
 
     tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + again, MOST_TRIES), 0)
     turn = ca.if_else(again, ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
-    beginning = 0 if watch.known else ca.logic_and(s.restarted == 0, s.age < FINDING)
-    most = ca.if_else(
-        beginning, HUGE, ca.if_else(loud, HEARD_BY_DESIGN if watch.weighted else HEARD, LARGEST) * s.level
-    )
-    heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
-    # Sample k of the first weighs (k + 1)(k + 2): the very first are compared with a covariance that is the guess's, and say little. Of a
-    # paper's design, which converges slowly, they say most.
-    early = s.age + 1 if watch.weighted else (s.age + 3) / 3
-    growing = ca.if_else(beginning, early, ca.fmin(s.age + 1, MEMORY))
-    memory_of = ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, growing)
-    slow = 0 if watch.weighted else ca.logic_and(loud, ca.logic_not(beginning))
-    rate = 1 / ca.if_else(slow, 2 * MEMORY, memory_of)
-    level = ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
-    peak = ca.if_else(beginning, ca.fmax(s.peak, level), s.peak)
-    level = ca.fmax(level, 1) if watch.known else ca.fmin(level, MOST_LEVEL * peak)
+    level, peak = _learned(watch, s, mean, dof, loud)
     after = watch.state.pack(
         {
             "tests": ca.if_else(again, 0, result.memory),
@@ -235,6 +221,24 @@ def verdict(
         (ca.logic_or(contradicted, distrust > LOSS), CODE.inconsistent),
     )
     return Verdict(after, ca.logic_and(again, ca.logic_not(restart)), restart, cases)
+
+
+def _learned(watch: Watch, s: SimpleNamespace, mean: Any, dof: Any, loud: Any) -> tuple[Any, Any]:
+    """`level` and `peak` after a sample of so many outputs `dof` whose nu' S^-1 nu / dof is `mean`; `loud`, whether it contradicts."""
+    beginning = 0 if watch.known else ca.logic_and(s.restarted == 0, s.age < FINDING)
+    if watch.weighted:  # of a paper's design, which converges slowly, the first samples say most
+        contradicting, early, slow = HEARD_BY_DESIGN, s.age + 1, 0
+    else:
+        # Sample k of the first weighs (k + 1)(k + 2): the very first are compared with a covariance that is the guess's, and say little.
+        contradicting, early, slow = HEARD, (s.age + 3) / 3, ca.logic_and(loud, ca.logic_not(beginning))
+    most = ca.if_else(beginning, HUGE, ca.if_else(loud, contradicting, LARGEST) * s.level)
+    heard = ca.if_else(finite(mean), ca.fmin(mean, most), most)
+    growing = ca.if_else(beginning, early, ca.fmin(s.age + 1, MEMORY))
+    memory = ca.if_else(ca.logic_or(s.restarted, watch.known), MEMORY, growing)
+    rate = 1 / ca.if_else(slow, 2 * MEMORY, memory)
+    level = ca.if_else(dof > 0, s.level + rate * (heard - s.level), s.level)
+    peak = ca.if_else(beginning, ca.fmax(s.peak, level), s.peak)
+    return ca.fmax(level, 1) if watch.known else ca.fmin(level, MOST_LEVEL * peak), peak
 
 
 def status_of(

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from host import WAYS, drive
+from slave import Slave
 from test_time import (  # noqa: F401  what both targets say the same
     KINDS,
     SAMPLE_TIMES,
     T0,
     Make,
-    comparable,
-    started,
+    ends,
     test_a_step_past_the_stop_time_by_rounding_is_none,
     test_skipped_repeated_and_backward_steps_are_refused_by_how_far_they_are_off,
     test_times_that_run_away_from_the_steps_are_refused,
@@ -23,11 +22,5 @@ from test_time import (  # noqa: F401  what both targets say the same
 @pytest.mark.parametrize("t0", T0)
 def test_however_times_are_made_the_outputs_are_the_same(slave: Make, kind: str, h: float, t0: float) -> None:
     """More than the 50 steps after which 1/60 s in whole nanoseconds is off by a millionth of a step."""
-    steps, ends = 80, {}
-    for way in WAYS:
-        if comparable(kind, way, t0, h):
-            fmu = started(slave, kind, t0, h)
-            drive(fmu, KINDS[kind][1], t0, h, 0, steps, way, t0)
-            ends[way] = fmu.outputs()
-    assert len(ends) >= 4
-    assert {way for way, end in ends.items() if end != ends["multiplied"]} == set()
+    found = ends(slave, kind, t0, h, 80, Slave.outputs)
+    assert {way for way, end in found.items() if end != found["multiplied"]} == set()
