@@ -7,6 +7,8 @@ An innovation nu (ny) of covariance S is tested in three ways, each in units of 
 - Outliers in a row say that the estimate is wrong, not the sensor. So does `doubt`, a cumulative sum (Page, Biometrika 41, 1954) of the
   clipped nu' S^-1 nu / dof above a drift. The covariance starts again around the estimate; where that does not help, the estimate starts
   again at the guess. Where it comes back before the samples fit, starting again did not help: the next time takes twice as much of it.
+- What was learned from samples that contradicted the estimate is worth nothing once they have ended, and a covariance that they made small
+  keeps it for very long: where a spell of them ends, the covariance starts again too, and so it does where one lasts.
 
 Where nobody says what the measurement noise is, the matrices of a design fix the gain only: scaled all by one factor, they give the same
 estimate. The factor is estimated from the innovations, `level`, and the deviations shown are in its scale. While the samples contradict the
@@ -55,6 +57,9 @@ MEMORY = 100  # samples, of `level`
 HEARD = 4.0
 HEARD_BY_DESIGN = 2.0  # the same of a paper's design, whose innovations die away slowly
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
+SPELL = 100  # samples of a spell of contradictions until the covariance, then the estimate, starts again; after each, twice as many
+TAUGHT = 5  # samples, each far off by itself, that acted: what was learned from them is forgotten once there are no more
+MOST_SPELLS = 20  # doublings
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
 ROUNDING = 1e-9  # of a nominal value: what an innovation is at least
@@ -92,6 +97,9 @@ class Watch:
             "tries",
             "row",
             "turn",
+            "spell",
+            "spells",
+            "taught",
             "age",
             "restarted",
         )
@@ -184,9 +192,13 @@ def verdict(
     doubtful = ca.logic_and(ca.logic_and(settled, dof > 0), ca.logic_not(gross))
     doubt = ca.if_else(doubtful, ca.fmax(s.doubt + ratio - DRIFT, 0), s.doubt)
     mild = doubt > THRESHOLD * 2**s.tries
-    again = ca.logic_and(ca.logic_or(mild, row >= ROW * 2 ** ca.fmin(s.tries, 3)), tuning.gate < NEVER)
-    restart = ca.logic_and(again, s.turn)
-    contradicted = ca.logic_or(raised, again)
+    lost = ca.logic_or(mild, row >= ROW * 2 ** ca.fmin(s.tries, 3))
+    misled = s.taught >= TAUGHT
+    long = ca.logic_and(misled, s.spell >= SPELL * 2**s.spells)
+    ended = ca.logic_and(misled, ca.logic_and(s.quiet == EARNED - 1, ca.logic_not(raised)))
+    again = ca.logic_and(ca.logic_or(ca.logic_or(lost, long), ended), tuning.gate < NEVER)
+    restart = ca.logic_and(again, ca.if_else(lost, s.turn, ca.if_else(long, ca.fmod(s.spells, 2), 0)))
+    contradicted = ca.logic_or(raised, ca.logic_and(again, ca.logic_or(lost, long)))
     quiet = ca.if_else(contradicted, 0, ca.fmin(s.quiet + (dof > 0), SLOWLY_EARNED))
     earned = ca.logic_or(s.earned, quiet >= (SLOWLY_EARNED if watch.weighted else EARNED))
     more = ca.fmax(ca.fmin(s.distrust + LOSS, ca.if_else(earned, MOST_DISTRUST, LOSS)), s.distrust)
@@ -194,8 +206,8 @@ def verdict(
     if watch.weighted:
         distrust = ca.if_else(again, PROBATION, distrust)
 
-    tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + again, MOST_TRIES), 0)
-    turn = ca.if_else(again, ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
+    tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + ca.logic_and(again, lost), MOST_TRIES), 0)
+    turn = ca.if_else(ca.logic_and(again, lost), ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
     level, peak = _learned(watch, s, mean, dof, loud)
     after = watch.state.pack(
         {
@@ -212,6 +224,9 @@ def verdict(
             "tries": tries,
             "row": ca.if_else(again, 0, row),
             "turn": turn,
+            "spell": ca.if_else(ca.logic_or(again, quiet >= EARNED), 0, s.spell + (dof > 0)),
+            "taught": ca.if_else(again, 0, s.taught + ca.logic_and(result.alone, ca.logic_not(gross))),
+            "spells": ca.if_else(distrust <= LOSS, 0, ca.fmin(s.spells + ca.logic_and(again, long), MOST_SPELLS)),
             "restarted": ca.logic_or(s.restarted, again),
         }
     )

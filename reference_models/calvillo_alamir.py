@@ -84,7 +84,7 @@ FMUS: dict[str, Source] = {
         roessler,
     ),
     "roessler_pseudospectral": (
-        lambda: pseudospectral(ROESSLER, sample_time=SAMPLE_TIME, N=15, L=20, guess=ROESSLER_GUESS),
+        lambda: pseudospectral(ROESSLER, sample_time=SAMPLE_TIME, N=19, L=20, guess=ROESSLER_GUESS),
         roessler,
     ),
     "ramp": (ramp, None),

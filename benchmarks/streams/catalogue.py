@@ -41,7 +41,7 @@ SILVERBOX_SCENARIO = scenario(
     "silverbox",
     _made["silverbox"],
     SILVERBOX_TIME,
-    400,
+    1000,
     noise={"y": 1e-3},
     settled=150,
     inputs=lambda seed, samples: bands(seed, samples, SILVERBOX_TIME, 100.0, u=0.02),
@@ -90,7 +90,7 @@ PAPERS = {
     ),
     "duffing_least_squares": Entry(
         lambda: least_squares(
-            DUFFING, sample_time=0.1, T=2.0, linearise=True, measurement_noise={"y": 1e-3}, initial_std={}, guess=GUESS
+            DUFFING, sample_time=0.1, T=4.0, linearise=True, measurement_noise={"y": 1e-3}, initial_std={}, guess=GUESS
         ),
         DUFFING_SCENARIO,
     ),

@@ -125,6 +125,36 @@ def test_a_sample_that_fits_takes_back_two_outliers_and_a_missing_one_none() -> 
     assert until(watched, far) == (3, "inflate")
 
 
+@pytest.mark.parametrize("far, forgotten", [(4, False), (5, True)])
+def test_what_samples_far_off_taught_is_forgotten_once_twenty_in_a_row_fit(far: int, forgotten: bool) -> None:
+    """Five that are far off by themselves, but within the gate, so that they acted; fewer leave the covariance as it is."""
+    watched = Watched(samples=100)
+    for _ in range(far):
+        assert watched((4.5, 0.0)).done == ""
+    done, quiet = [], []
+    for k in range(300):
+        done.append(watched(np.array([1, -1]) * (-1) ** k / 3).done)
+        quiet.append(int(watched.watch.state.unpack(watched.memory).quiet))
+    assert [what for what in done if what] == (["inflate"] if forgotten else [])
+    if forgotten:
+        assert quiet[done.index("inflate")] == 20
+
+
+def test_outliers_taught_nothing_and_nothing_of_it_is_forgotten() -> None:
+    watched = Watched(samples=100)
+    done = [watched((50.0, 0.0) if k % 4 == 0 and k < 40 else (1 / 3, -1 / 3)).done for k in range(300)]
+    assert done == [""] * 300
+
+
+def test_a_spell_of_contradictions_starts_the_covariance_again_then_the_estimate_each_after_twice_as_long() -> None:
+    """Every fifth sample far off: too few for the cumulative sum, and trust never comes back."""
+    watched = Watched(samples=100)
+    done = [watched((4.5, 0.0) if k % 5 == 0 else (1 / 3, -1 / 3)).done for k in range(800)]
+    begins = [k for k in range(800) if done[k]]
+    assert [done[k] for k in begins] == ["inflate", "restart", "inflate"]
+    assert np.diff([0, *begins]).tolist() == [100, 201, 401]
+
+
 def test_a_gate_of_a_million_turns_restarts_off() -> None:
     watched = Watched(samples=SETTLED, gate=1e6)
     assert until(watched, (1e7, 0.0)) == (200, "")
