@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import Assignments, CallLimit, err, fail, out, split_assignments
+from commands.console import Assignments, CallLimit, err, fail, out, plain, split_assignments
 from cosim.campaign.run import SETTLE
 from cosim.campaign.variation import parse
 from cosim.errors import ExperimentError, SystemFileError
@@ -39,10 +39,16 @@ def campaign(
         typer.Option("--out", metavar="DIR", help="The campaign's folder.", show_default="results/<file>_campaign"),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the random values.")] = 0,
-    stop: Annotated[float | None, typer.Option(help="Stop time in seconds.", show_default="the system's")] = None,
+    stop: Annotated[
+        float | None, typer.Option(metavar="SECONDS", parser=plain, help="Stop time.", show_default="the system's")
+    ] = None,
     settle: Annotated[
         float,
-        typer.Option(help="Seconds after the start and each jump of a true parameter that do not count as settled."),
+        typer.Option(
+            metavar="SECONDS",
+            parser=plain,
+            help="Seconds after the start and each jump of a true parameter that do not count as settled.",
+        ),
     ] = SETTLE,
     scheduler: Annotated[
         str | None,

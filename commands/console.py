@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,9 +13,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from cosim.errors import one_line
+from cosim.errors import number, one_line
 
 SHOW_PROGRESS_AFTER = 1.5  # [s]
+SHORTEST_CALL = 0.1  # [s] that a call may be limited to
 SHOWN = 300  # characters of what an FMU says
 ELEMENT_FORM = "ELEMENT.VARIABLE=VALUE"
 
@@ -30,10 +32,29 @@ Assignments = Annotated[
     ),
 ]
 
+
+def plain(text: str | float) -> float:
+    """The number of an option, or its default: what a file may hold, too, and no more."""
+    try:
+        return number(text) if isinstance(text, str) else text
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a number") from None
+
+
+def _call_limit(text: str | float) -> float:
+    limit = plain(text)
+    if not SHORTEST_CALL <= limit < math.inf:
+        raise typer.BadParameter(f"{text} s is not finite or shorter than {SHORTEST_CALL:g} s")
+    return limit
+
+
 CallLimit = Annotated[
     float,
     typer.Option(
-        "--call-limit", metavar="SECONDS", min=0.1, help="How long a call of an FMU may take before the run is ended."
+        "--call-limit",
+        metavar="SECONDS",
+        parser=_call_limit,
+        help="How long a call of an FMU may take before the run is ended.",
     ),
 ]
 

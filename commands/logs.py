@@ -6,12 +6,18 @@ from typing import Annotated
 
 import typer
 
+from commands.console import plain
 from cosim.replay.log import Log, Rows
 from cosim.replay.reading import Reading
 
 SampleTime = Annotated[
     float | None,
-    typer.Option(help="Seconds between the rows of a file without a column 'time'.", show_default=False),
+    typer.Option(
+        metavar="SECONDS",
+        parser=plain,
+        help="Seconds between the rows of a file without a column 'time'.",
+        show_default=False,
+    ),
 ]
 Separator = Annotated[
     str | None,

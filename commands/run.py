@@ -10,7 +10,7 @@ import typer
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import SHOWN, Assignments, CallLimit, fail, late_progress, out, split_assignments
+from commands.console import SHOWN, Assignments, CallLimit, fail, late_progress, out, plain, split_assignments
 from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
@@ -35,9 +35,12 @@ def run(
             help="Values of the system's input connectors and of unconnected inputs: a column `time`, then one by the name of each.",
         ),
     ] = None,
-    stop: Annotated[float | None, typer.Option(help="Stop time in seconds.", show_default="the system's")] = None,
+    stop: Annotated[
+        float | None, typer.Option(metavar="SECONDS", parser=plain, help="Stop time.", show_default="the system's")
+    ] = None,
     step: Annotated[
-        float | None, typer.Option(help="Communication step size in seconds.", show_default="the system's")
+        float | None,
+        typer.Option(metavar="SECONDS", parser=plain, help="Communication step size.", show_default="the system's"),
     ] = None,
     limit: CallLimit = LIMIT,
 ) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from commands.console import fail, out
+from commands.console import fail, out, plain
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.fmu import read_description
 from cosim.system import Element, System, write_ssp
@@ -23,10 +23,14 @@ def system(
     ],
     path: Annotated[Path, typer.Option("--out", metavar="FILE.ssp", help="The system's file.", show_default=False)],
     stop: Annotated[
-        float | None, typer.Option(help="Stop time in seconds.", show_default="the longest of the FMUs'")
+        float | None,
+        typer.Option(metavar="SECONDS", parser=plain, help="Stop time.", show_default="the longest of the FMUs'"),
     ] = None,
     step: Annotated[
-        float | None, typer.Option(help="Communication step size in seconds.", show_default="the smallest of the FMUs'")
+        float | None,
+        typer.Option(
+            metavar="SECONDS", parser=plain, help="Communication step size.", show_default="the smallest of the FMUs'"
+        ),
     ] = None,
 ) -> None:
     """Write a system of FMUs: each input is connected to the output of the same name; what stays open is said.

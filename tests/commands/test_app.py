@@ -62,6 +62,10 @@ def test_the_version_is_the_packages() -> None:
         (("build", "extra"), "(extra)", "observer-fmus build"),
         (("run",), "Missing argument", "observer-fmus run"),
         (("run", "x.ssp", "--stop", "soon"), "Invalid value for '--stop'", "observer-fmus run"),
+        (("run", "x.ssp", "--stop", "1_0"), "Invalid value for '--stop': '1_0' is not a number", "observer-fmus run"),
+        (("replay", "x.fmu", "x.csv", "--sample-time", "1_0"), "'1_0' is not a number", "observer-fmus replay"),
+        (("run", "x.ssp", "--call-limit", "inf"), "inf s is not finite or shorter than 0.1 s", "observer-fmus run"),
+        (("run", "x.ssp", "--call-limit", "0.09"), "0.09 s is not finite or shorter than 0.1 s", "observer-fmus run"),
         (("run", "x.ssp", "--sto", "3"), "--sto", "observer-fmus run"),
         (("compare", "x.ssp", "y.ssp"), "(y.ssp)", "observer-fmus compare"),
         (
