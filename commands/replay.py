@@ -12,13 +12,13 @@ from rich.text import Text
 
 from commands.console import SHOWN, CallLimit, fail, late_progress, out, split_assignments
 from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, how_read, reading
+from commands.records import Format, RecordFormat, command_html, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.replay import Replay
 from cosim.replay import replay as perform
 from cosim.report.page import Table, write_report
-from cosim.results import write_csv
 
 JITTER = 1e-3  # of the sample time: rows farther from their sample instants are worth a word
 
@@ -61,9 +61,10 @@ def replay(
     missing: Missing = None,
     skip_lines: SkipLines = 0,
     skip_bad_rows: SkipBadRows = False,
+    form: RecordFormat = Format.csv,
     limit: CallLimit = LIMIT,
 ) -> None:
-    """Run an observer over a recorded file; write estimates.csv (all outputs at each sample instant) and report.html.
+    """Run an observer over a recorded file; write estimates.csv (all outputs at each sample instant), what its codes mean, and report.html.
 
     \b
     Example:
@@ -85,12 +86,12 @@ def replay(
     except (SystemFileError, ExperimentError) as error:
         fail(str(error), 2)
     except RunError as error:
-        _keep_partial(error, directory)
+        _keep_partial(error, directory, form)
     facts = _facts(made)
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        write_csv(made.result, directory / "estimates.csv")
-        intro = "".join(f"<p>{escape(fact)}</p>" for fact in facts)
+        files = write_record(made.result, directory, "estimates", form)
+        intro = command_html() + "".join(f"<p>{escape(fact)}</p>" for fact in facts)
         write_report(
             directory / "report.html", made.result.system, intro, _inputs(made), [("Figures", "", made.result)]
         )
@@ -98,18 +99,17 @@ def replay(
         fail(f"cannot write to {directory}: {error.strerror or error}", 2)
     for fact in facts:
         out.print(Text(fact), soft_wrap=True)
-    for file in ("estimates.csv", "report.html"):
-        out.print(Text(str(directory / file)), soft_wrap=True)
+    for file in (*files, directory / "report.html"):
+        out.print(Text(str(file)), soft_wrap=True)
 
 
-def _keep_partial(error: RunError, directory: Path) -> NoReturn:
+def _keep_partial(error: RunError, directory: Path, form: Format) -> NoReturn:
     """End with the reason why the FMU failed, and the rows up to there in estimates.csv."""
     if error.partial is None or not len(error.partial.time):
         fail(str(error), 1)
-    table = directory / "estimates.csv"
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        write_csv(error.partial, table)
+        table, *_ = write_record(error.partial, directory, "estimates", form)
     except OSError as problem:
         fail(f"{error}; cannot write to {directory}: {problem.strerror or problem}", 2)
     fail(f"{error} (the record up to there is in {table})", 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,13 +12,13 @@ from rich.table import Table as ConsoleTable
 from rich.text import Text
 
 from commands.console import SHOWN, Assignments, CallLimit, fail, late_progress, out, plain, split_assignments
+from commands.records import Format, RecordFormat, command_html, errors_of, print_table, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.master.watched import run as run_system
-from cosim.report.estimates import pairs
 from cosim.report.page import Table, write_report
-from cosim.results import Result, write_csv
+from cosim.results import Result
 
 
 def run(
@@ -42,9 +43,10 @@ def run(
         float | None,
         typer.Option(metavar="SECONDS", parser=plain, help="Communication step size.", show_default="the system's"),
     ] = None,
+    form: RecordFormat = Format.csv,
     limit: CallLimit = LIMIT,
 ) -> None:
-    """Run a system once; write results.csv (all outputs of all FMUs) and report.html (figures).
+    """Run a system once; write results.csv (all outputs of all FMUs), what its codes mean, and report.html (figures).
 
     \b
     Example:
@@ -70,37 +72,28 @@ def run(
         if error.partial is None or not len(error.partial.time):
             fail(str(error), 1)
         result, failure = error.partial, error
-    table = directory / "results.csv"
+    errors, report = errors_of(result), directory / "report.html"
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        write_csv(result, table)
+        files = write_record(result, directory, "results", form)
         if failure is None:
-            _write_report(result, directory / "report.html")
+            _write_report(result, errors, report)
     except OSError as error:
         fail(f"cannot write to {directory}: {error.strerror or error}", 2)
     if failure is not None:
-        fail(f"{failure} (the record up to there is in {table})", 1)
-    _summarise(result, directory)
+        fail(f"{failure} (the record up to there is in {files[0]})", 1)
+    _summarise(result, errors, [*files, report])
 
 
-def _write_report(result: Result, path: Path) -> None:
-    found = pairs(result)
-    table = None
-    if found:
-        half = len(result.time) // 2
-        columns = ("estimate", "unit", "median error", "largest error, second half", "last error")
-        rows = []
-        for pair in found:
-            error = pair.error(result)
-            numbers = (np.median(error), np.max(error[half:]), error[-1])
-            rows.append((pair.estimate, result.units[pair.truth], *(f"{number:.2e}" for number in numbers)))
-        table = Table(columns, rows)
+def _write_report(result: Result, errors: Table | None, path: Path) -> None:
     intro = f"<p>{len(result.time) - 1} communication steps of {result.step:g} s up to t = {result.time[-1]:g} s.</p>"
-    write_report(path, result.system, intro, table, [("Figures", "", result)])
+    write_report(path, result.system, command_html() + intro, errors, [("Figures", "", result)])
 
 
-def _summarise(result: Result, directory: Path) -> None:
-    table = ConsoleTable(title=result.system, title_justify="left", title_style="bold")
+def _summarise(result: Result, errors: Table | None, files: Sequence[Path]) -> None:
+    if errors is not None:
+        print_table(errors, result.system)
+    table = ConsoleTable(title="Computing time", title_justify="left", title_style="bold")
     for head in ("element", "outputs", "steps", "median us/step", "max us/step"):
         table.add_column(head, justify="left" if head == "element" else "right")
     for element, ns in result.step_ns.items():
@@ -116,5 +109,5 @@ def _summarise(result: Result, directory: Path) -> None:
         out.print(Text(told, style="yellow"), soft_wrap=True)
     for note in result.notes:
         out.print(Text(f"note: {one_line(note, SHOWN)}", style="yellow"), soft_wrap=True)
-    for file in ("results.csv", "report.html"):
-        out.print(Text(str(directory / file)), soft_wrap=True)
+    for file in files:
+        out.print(Text(str(file)), soft_wrap=True)

@@ -28,6 +28,14 @@ class Message(NamedTuple):
     text: str
 
 
+class Given(NamedTuple):
+    """What a Real input was given: values (n,), its unit, and whether it is a measurement, with a `measurement_valid.<name>` beside it."""
+
+    values: np.ndarray
+    unit: str
+    measured: bool
+
+
 class Messages(list[Message]):
     """What FMUs log in a run: the first MOST_MESSAGES, the last of which gives way to each later one."""
 
@@ -54,6 +62,7 @@ class Result:
         step_ns: (n - 1,) wall time of each fmi2DoStep [ns], by element.
         messages: what the FMUs logged, in order, as of `Messages`.
         sources: for each element those whose outputs drive its inputs.
+        inputs: by `<element>.<variable>`, of the Real inputs that are connected or recorded, in the order of the FMUs.
         notes: what whoever reads the numbers should know of how they came about, a line each.
     """
 
@@ -69,6 +78,7 @@ class Result:
     step_ns: Mapping[str, np.ndarray]
     messages: Sequence[Message]
     sources: Mapping[str, frozenset[str]]
+    inputs: Mapping[str, Given]
     notes: Sequence[str] = ()
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -91,6 +101,40 @@ def write_csv(result: Result, path: Path) -> None:
         name: result[name] if result.kinds[name] == "Real" else result[name].astype(int) for name in result.names
     }
     write_columns({"time": result.time, **columns}, path)
+
+
+def write_parquet(result: Result, path: Path) -> None:
+    """Write the same as `write_csv` as Parquet, enumerations in words.
+
+    Raises:
+        ImportError: pyarrow, which is an extra, is not installed.
+    """
+    import pyarrow
+    from pyarrow import parquet
+
+    columns = {"time": pyarrow.array(result.time)}
+    for name in result.names:
+        values = result[name]
+        if result.kinds[name] == "Enumeration":
+            items = result.items[name]
+            column = pyarrow.array([items.get(int(v), str(int(v))) for v in values]).dictionary_encode()
+        elif result.kinds[name] == "Boolean":
+            column = pyarrow.array(values != 0)
+        else:
+            column = pyarrow.array(values if result.kinds[name] == "Real" else values.astype(np.int32))
+        columns[name] = column
+    with whole(path) as partial:
+        parquet.write_table(pyarrow.table(columns), partial)
+
+
+def write_legend(result: Result, path: Path) -> None:
+    """Write what the codes of each enumeration mean, a row each: column, code, word. Without enumerations there is no file."""
+    if not result.items:
+        return
+    with whole(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("column", "code", "word"))
+        writer.writerows((name, code, word) for name, items in result.items.items() for code, word in items.items())
 
 
 def write_columns(columns: Mapping[str, np.ndarray], path: Path) -> None:

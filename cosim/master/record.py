@@ -12,7 +12,7 @@ from fmpy.model_description import ModelVariable
 
 from cosim.fmu import enumeration_items, unit_of
 from cosim.master.slave import FMI_KIND, Slave, references
-from cosim.results import Message, Messages, Result
+from cosim.results import Given, Message, Messages, Result
 from cosim.system.resolved import Connection, ResolvedSystem
 from cosim.system.transformation import Transformation, apply
 
@@ -41,6 +41,8 @@ class Outline:
         steps: number of communication steps.
         columns: name, array and column in it of each output of an element.
         exposures: name, source and transformations of each output of the system.
+        inputs: path, unit, whether it is measured, source and transformations of each connected Real input.
+        recorded: the Real inputs whose values are known beforehand.
         units, descriptions, kinds, items, sources, notes: as of `Result`.
     """
 
@@ -50,6 +52,8 @@ class Outline:
     steps: int
     columns: list[tuple[str, str, int]]
     exposures: list[tuple[str, str, tuple[Transformation, ...]]]
+    inputs: list[tuple[str, str, bool, str, tuple[Transformation, ...]]]
+    recorded: dict[str, Given]
     units: dict[str, str]
     descriptions: dict[str, str]
     kinds: dict[str, str]
@@ -77,8 +81,17 @@ class Outline:
             step_ns={e: np.array(arrays[DURATIONS][i, : max(rows - 1, 0)]) for i, e in enumerate(self.sources)},
             messages=messages,
             sources=self.sources,
+            inputs=self._inputs(found),
             notes=self.notes,
         )
+
+    def _inputs(self, columns: Mapping[str, np.ndarray]) -> dict[str, Given]:
+        found = {
+            path: Given(np.asarray(apply(steps, columns[source]), dtype=float), unit, measured)
+            for path, unit, measured, source, steps in self.inputs
+        }
+        rows = len(next(iter(columns.values()))) if columns else 0
+        return found | {path: given._replace(values=given.values[:rows]) for path, given in self.recorded.items()}
 
 
 class Record:
@@ -92,6 +105,7 @@ class Record:
         start, step: the times of the rows [s].
         steps: number of communication steps; there is one row more.
         notes: what whoever reads the numbers should know.
+        recorded: the values (steps + 1,) of inputs that are known beforehand, by element and variable.
         allocate: makes the arrays.
     """
 
@@ -102,6 +116,7 @@ class Record:
         step: float,
         steps: int,
         notes: list[str],
+        recorded: Sequence[tuple[str, ModelVariable, np.ndarray]] = (),
         allocate: Allocate = allocate,
     ):
         self.rows = 0  # that are complete
@@ -130,6 +145,13 @@ class Record:
             steps=steps,
             columns=[(f"{element}.{v.name}", *self._column[element, v.name]) for element, v in outputs],
             exposures=[(name, f"{e.source}.{e.output.name}", e.steps) for name, e in shown.items()],
+            inputs=_real_inputs(resolved),
+            recorded={
+                path: Given(values, unit, measured)
+                for element, variable, values in recorded
+                if variable.type == "Real"
+                for path, unit, measured in (_shown(resolved, element, variable),)
+            },
             units={name: shown[name].unit if name in shown else unit_of(v) for name, v in variables.items()},
             descriptions={name: v.description or "" for name, v in variables.items()},
             kinds={name: v.type for name, v in variables.items()},
@@ -201,6 +223,20 @@ class Record:
     def result(self) -> Result:
         """The complete rows."""
         return self.outline.result(self._arrays, self.rows, self.messages)
+
+
+def _real_inputs(resolved: ResolvedSystem) -> list[tuple[str, str, bool, str, tuple[Transformation, ...]]]:
+    """The connected ones, in the order of the FMUs, as of `Outline`."""
+    into = {(c.target, c.input.name): c for c in resolved.connections if c.input.type == "Real"}
+    ordered = [(element, name) for element, variables in resolved.variables.items() for name in variables]
+    connections = (into[place] for place in ordered if place in into)
+    return [(*_shown(resolved, c.target, c.input), f"{c.source}.{c.output.name}", c.steps) for c in connections]
+
+
+def _shown(resolved: ResolvedSystem, element: str, variable: ModelVariable) -> tuple[str, str, bool]:
+    """Path and unit of an input, and whether it is a measurement."""
+    measured = f"measurement_valid.{variable.name}" in resolved.variables[element]
+    return f"{element}.{variable.name}", unit_of(variable), measured
 
 
 def grouped(connections: list[Connection]) -> Mapping[str, list[Connection]]:

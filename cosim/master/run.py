@@ -124,7 +124,8 @@ def prepare(
     signals = checked(given, resolved, overrides, steps)
     order = schedule(resolved, [(s.element, s.variable.name) for s in signals])
     try:
-        record = Record(resolved, start, step, steps, [*resolved.notes, *order.notes], allocate)
+        recorded = [(s.element, s.variable, s.values) for s in signals]
+        record = Record(resolved, start, step, steps, [*resolved.notes, *order.notes], recorded, allocate)
         here = allocate("here", (2,), np.int64)
     except MemoryError:
         raise ExperimentError(f"the record of {steps} steps of {step:g} s does not fit into memory") from None

@@ -2,26 +2,62 @@
 
 from __future__ import annotations
 
+import gzip
+import json
+from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from plotly.offline import get_plotlyjs
+import numpy as np
+from bokeh.core.json_encoder import serialize_json
+from bokeh.embed import json_item
+from bokeh.layouts import column
+from bokeh.resources import Resources
 
-from cosim.report.figures import figures
+from cosim.report.figures import GRID, INK, PAPER, figures
 from cosim.results import Result
 from cosim.whole import whole
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; margin: 2rem auto; max-width: 64rem;
-       padding: 0 1rem; }
-h1, h2 { line-height: 1.25; } h2 { margin-top: 3rem; border-top: 1px solid #ccc; padding-top: 1.5rem; }
+:root { --ink: #1a1a1a; --paper: #fefefe; --line: #dddddd; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e6e6; --paper: #161616; --line: #444444; } }
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper); margin: 2rem auto; max-width: 64rem;
+       padding: 0 1rem; overflow-wrap: break-word; }
+h1, h2 { line-height: 1.25; } h2 { margin-top: 3rem; border-top: 1px solid var(--line); padding-top: 1.5rem; }
+a { color: inherit; } code { font-size: 0.92em; }
 table { border-collapse: collapse; margin: 1.5rem 0; font-size: 0.92rem; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; padding: 0.3rem 0.9rem; border-bottom: 1px solid #ddd; vertical-align: top; }
-th { border-bottom: 2px solid #1a1a1a; }
+th, td { text-align: left; padding: 0.3rem 0.9rem 0.3rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
+td { white-space: nowrap; }
+th { border-bottom: 2px solid var(--ink); }
 .scroll { overflow-x: auto; } svg { max-width: 100%; height: auto; }
 """
+_NO_SCRIPT = "<noscript><p>The figures need JavaScript; the numbers are in results.csv.</p></noscript>"
+# The figures are drawn in the colours of the reader's choice, and once more where that changes.
+_DRAW = """
+const unpacked = async id => {
+  const bytes = Uint8Array.from(atob(document.getElementById(id).textContent), c => c.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+};
+const dark = matchMedia("(prefers-color-scheme: dark)");
+const draw = async () => {
+  let text = await unpacked("drawn");
+  if (dark.matches) for (const [light, other] of LIGHT_TO_DARK) text = text.replaceAll(light, other);
+  for (const item of JSON.parse(text)) {
+    document.getElementById(item.target_id).replaceChildren();
+    await Bokeh.embed.embed_item(item);
+  }
+  document.body.dataset.drawn = "yes";
+};
+(async () => {
+  const script = document.createElement("script");
+  script.textContent = await unpacked("library");
+  document.head.append(script);
+  await draw();
+  dark.addEventListener("change", draw);
+})();
+""".replace("LIGHT_TO_DARK", json.dumps([[INK, "#e6e6e6"], [PAPER, "#161616"], [GRID, "#333333"]]))
 
 
 @dataclass(frozen=True)
@@ -50,27 +86,55 @@ def write_report(
     if len(results) > 1:
         links = (f'<li><a href="#run-{i}">{escape(heading)}</a></li>' for i, (heading, _, _) in enumerate(results))
         parts.append(f"<ul>{''.join(links)}</ul>")
+    drawn = []
     for i, (heading, comment, result) in enumerate(results):
         parts.append(f'<h2 id="run-{i}">{escape(heading)}</h2>')
         if comment:
             parts.append(f"<p>{escape(comment)}</p>")
-        for j, figure in enumerate(figures(result)):
-            config = {"displaylogo": False, "responsive": True}
-            div = figure.to_html(full_html=False, include_plotlyjs=False, div_id=f"run-{i}-figure-{j}", config=config)
-            parts.append(div)
-    write_page(path, title, parts, get_plotlyjs())
+        parts += [html_table(words) for words in statuses(result)]
+        parts.append(f'<div id="run-{i}-figures" class="figures"></div>')
+        drawn.append(json_item(column(*figures(result), sizing_mode="stretch_width"), f"run-{i}-figures"))
+    parts.append(_NO_SCRIPT)
+    write_page(path, title, parts, _drawing(drawn))
 
 
-def write_page(path: Path, title: str, parts: Sequence[str], script: str = "") -> None:
-    """Write one self-contained HTML file of the given `parts` (HTML); the title is plain text."""
+def statuses(result: Result) -> list[Table]:
+    """How often each status occurred, in words, for every status of `result`."""
+    made = []
+    for name in result.names:
+        if name.endswith(".status") and name in result.items:
+            codes, counts = np.unique(result[name].astype(int), return_counts=True)
+            rows = [
+                (result.items[name].get(int(code), ""), str(code), f"{count / len(result.time):.1%}")
+                for code, count in zip(codes, counts, strict=True)
+            ]
+            made.append(Table((name, "code", "of the rows"), rows))
+    return made
+
+
+def write_page(path: Path, title: str, parts: Sequence[str], scripts: str = "") -> None:
+    """Write one self-contained HTML file of the given `parts` (HTML), then `scripts`; the title is plain text."""
     body = "\n".join(parts)
     with whole(path) as partial:
         partial.write_text(
             f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<style>{_STYLE}</style>\n<script>{script}</script>\n</head>\n<body>\n{body}\n</body>\n</html>\n",
+            '<meta name="color-scheme" content="light dark">\n'
+            f"<style>{_STYLE}</style>\n</head>\n<body>\n{body}\n{scripts}</body>\n</html>\n",
             encoding="utf-8",
         )
+
+
+def _drawing(items: Sequence[object]) -> str:
+    """The scripts that draw `items`: Bokeh's own library and what it draws, packed to a quarter of their size."""
+    library = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
+    packed = {"library": library, "drawn": serialize_json(items)}
+    data = (f'<script type="text/plain" id="{name}">{_packed(text)}</script>\n' for name, text in packed.items())
+    return "".join(data) + f"<script>{_DRAW}</script>\n"
+
+
+def _packed(text: str) -> str:
+    return b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
 
 
 def html_table(table: Table) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 from typer.testing import Result
 
 from cosim.master import run
@@ -31,7 +33,7 @@ def test_run_writes_all_outputs_and_a_report(duffing_system: Path, tmp_path: Pat
     assert list(written) == ["time", *expected.names]
     for name in expected.names:
         np.testing.assert_array_equal(written[name], expected[name])
-    assert (tmp_path / "new" / "x" / "report.html").stat().st_size < 8e6
+    assert (tmp_path / "new" / "x" / "report.html").stat().st_size < 1.5e6
 
 
 def test_set_stop_and_step_change_the_experiment(duffing_system: Path, tmp_path: Path) -> None:
@@ -96,3 +98,26 @@ def test_warnings_are_counted_and_the_first_is_shown(built: Build, tmp_path: Pat
     result = run_verb(tmp_path / "blind.ssp", "--out", tmp_path)
     assert result.exit_code == 0
     assert re.search(r"10 warnings, the first by observer: .*rejected_samples", result.stdout)
+
+
+def test_what_the_codes_of_the_table_mean_is_beside_it(duffing_system: Path, tmp_path: Path) -> None:
+    assert observer_fmus("run", duffing_system, "--stop", 1, "--out", tmp_path).exit_code == 0
+    rows = (tmp_path / "results.legend.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[0] == "column,code,word" and "observer.diagnostics.status,14,propagated_guess" in rows
+
+
+def test_parquet_holds_the_numbers_to_the_bit_and_the_words_of_codes(duffing_system: Path, tmp_path: Path) -> None:
+    for form in ("csv", "parquet"):
+        assert observer_fmus("run", duffing_system, "--stop", 1, "--out", tmp_path, "--format", form).exit_code == 0
+    table, expected = parquet.read_table(tmp_path / "results.parquet"), read_csv(tmp_path / "results.csv")
+    assert table.column_names == list(expected)
+    with (tmp_path / "results.legend.csv").open(newline="", encoding="utf-8") as file:
+        words = {(name, int(code)): word for name, code, word in list(csv.reader(file))[1:]}
+    for name, values in expected.items():
+        coded = any(name == column for column, _ in words)
+        assert table[name].to_pylist() == ([words[name, int(v)] for v in values] if coded else values.tolist())
+
+
+def test_a_form_of_the_table_that_nobody_knows_is_one_line(tmp_path: Path) -> None:
+    line = refused(observer_fmus("run", "x.ssp", "--format", "xls", "--out", tmp_path))
+    assert "'xls' is none of csv, parquet" in line

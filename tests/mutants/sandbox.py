@@ -24,7 +24,7 @@ HEAVY += (
     "lxml.etree",
     "matplotlib.figure",
     "matplotlib.backends.backend_svg",
-    "plotly.graph_objects",
+    "bokeh.plotting",
     "distributed",
     "typer",
     "flint",
