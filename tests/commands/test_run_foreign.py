@@ -41,7 +41,8 @@ def test_an_fmu_that_goes_down_or_hangs_is_one_line_and_the_rows_up_to_there(
     assert f"element 'a' at t = 0.5: fmi2DoStep {reason}" in line
     written = read_csv(out / "results.csv")
     np.testing.assert_array_equal(written["time"], 0.1 * np.arange(6))
-    assert (written["out"] == 2).all() and [f.name for f in out.iterdir()] == ["results.csv"]
+    assert (written["out"] == 2).all()
+    assert {f.name for f in out.iterdir()} == {"results.csv", "results.legend.csv"}
     assert not (tmp_path / "eventlog.txt").exists()
 
 
