@@ -27,7 +27,7 @@ test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 	$(BIN)/python -m pytest -n logical --dist worksteal $(MARKED)
 
 docs: setup ## the documentation as a site, build/site/index.html, without any other host; a link that leads nowhere fails
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python build_fmus.py --only duffing_pseudospectral

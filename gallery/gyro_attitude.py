@@ -75,6 +75,8 @@ gyroscope = controller(
     inputs=[],
     outputs=[Variable(f"gyro_{axis}", f"measured rate about {axis}", unit="rad/s") for axis in "xyz"],
     law=turn,
+    stop_time=STOP_TIME,
+    step_size=SAMPLE_TIME,
 )
 # The gyroscope's noise: the plant moves by what it shows plus actuator.noise_std, which the observer does not know.
 true_system = plant(MODEL, input_noise=True, stop_time=STOP_TIME, step_size=SAMPLE_TIME)

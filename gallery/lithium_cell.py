@@ -46,13 +46,25 @@ MODEL = Model(
 
 
 def drive(x, p, t):
-    """A cycle of two minutes: bursts of discharge, and a phase that brakes and charges."""
-    phase = ca.fmod(t, 120.0)
-    return [1.2 + 1.5 * ca.sin(0.2 * t) + ca.if_else(phase < 20, 4.4, 0.0) - ca.if_else(phase > 100, 3.5, 0.0)]
+    """A cycle of two minutes: bursts of discharge, and a phase that brakes and charges.
+
+    It changes half-way between samples. In a system a plant's outputs show the inputs of the step before: with steps of half a sample,
+    current and voltage that are read at a sample instant belong together.
+    """
+    second = ca.floor(t / SAMPLE_TIME + 0.5) * SAMPLE_TIME
+    phase = ca.fmod(second, 120.0)
+    return [1.2 + 1.5 * ca.sin(0.2 * second) + ca.if_else(phase < 20, 4.4, 0.0) - ca.if_else(phase > 100, 3.5, 0.0)]
 
 
-cycle = controller("lithium_cell_cycle", inputs=[], outputs=[Variable("i", "current", unit="A")], law=drive)
-true_system = plant(MODEL, stop_time=STOP_TIME, step_size=SAMPLE_TIME)
+cycle = controller(
+    "lithium_cell_cycle",
+    inputs=[],
+    outputs=[Variable("i", "current", unit="A")],
+    law=drive,
+    stop_time=STOP_TIME,
+    step_size=SAMPLE_TIME / 2,
+)
+true_system = plant(MODEL, stop_time=STOP_TIME, step_size=SAMPLE_TIME / 2)
 observer = ukf(
     MODEL,
     sample_time=SAMPLE_TIME,

@@ -68,12 +68,17 @@ pumps = controller(
         3.0 + ca.if_else(ca.fmod(t, 200) > 100, 0.5, 0.0),
         3.0 - ca.if_else(ca.fmod(t, 300) > 150, 0.5, 0.0),
     ],
+    stop_time=STOP_TIME,
+    step_size=SAMPLE_TIME,
 )
 true_system = plant(MODEL, stop_time=STOP_TIME, step_size=SAMPLE_TIME)
 observer = pseudospectral(
     MODEL,
     sample_time=SAMPLE_TIME,
-    arrival_cost=True,  # what the samples before the window said is kept: the window may be short
+    arrival_cost=True,  # what the samples before the window said is kept: so the window may be short
+    L=5,
+    segments=5,
+    N=4,
     process_noise={"h1": 5e-3, "h2": 5e-3, "h3": 5e-3, "h4": 5e-3, "valve1": 1e-3},
     measurement_noise={"y1": 0.1, "y2": 0.1},
     initial_std={"h1": 2.0, "h2": 2.0, "h3": 1.5, "h4": 1.5, "valve1": 0.2},

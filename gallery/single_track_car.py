@@ -64,7 +64,7 @@ MODEL = Model(
 
 def ride(x, p, t):
     """A slalom at a speed that rises and falls."""
-    return [0.02 * ca.sin(1.5 * t) + 0.01 * ca.sin(3.7 * t), 25.0 + 5.0 * ca.sin(0.4 * t)]
+    return [p.slalom * (0.02 * ca.sin(1.5 * t) + 0.01 * ca.sin(3.7 * t)), 25.0 + 5.0 * ca.sin(0.4 * t)]
 
 
 driver = controller(
@@ -74,7 +74,10 @@ driver = controller(
         Variable("steering", "angle of the front wheels", unit="rad"),
         Variable("speed", "forward velocity", unit="m/s", start=25.0),
     ],
+    parameters=[Variable("slalom", "1, or 0 to drive straight on", start=1.0)],
     law=ride,
+    stop_time=STOP_TIME,
+    step_size=SAMPLE_TIME,
 )
 true_system = plant(MODEL, stop_time=STOP_TIME, step_size=SAMPLE_TIME)
 observer = ukf(

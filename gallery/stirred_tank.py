@@ -47,6 +47,8 @@ jacket = controller(
     inputs=[],
     outputs=[Variable("Tj", "temperature of the jacket", unit="K", start=300.0)],
     law=lambda x, p, t: [300.0 + 4.0 * ca.sin(2 * ca.pi * t / 500) + ca.if_else(t > 1500, 3.0, 0.0)],
+    stop_time=STOP_TIME,
+    step_size=SAMPLE_TIME,
 )
 true_system = plant(MODEL, stop_time=STOP_TIME, step_size=SAMPLE_TIME)
 observer = riccati(
