@@ -55,7 +55,7 @@ def prepare(blocks: list[Block], folder: Path, fmu: Callable[[str], Path], syste
 
 def run_blocks(blocks: list[Block], folder: Path) -> None:
     """Runs commands and code in `folder`, the working directory; what fails, or prints otherwise than its comment says, fails the test."""
-    namespace: dict[str, object] = {"__name__": "page"}
+    namespace: dict[str, object] = {"__name__": "__main__"}
     for block in blocks:
         if block.language in ("python", "csv") and block.title:
             (folder / block.title).write_text(block.text, encoding="utf-8")
@@ -80,7 +80,7 @@ def run_command(words: list[str]) -> None:
     if arguments[:2] == ["build", "--only"]:  # of the catalogue, which is built for all tests
         assert all(Path("fmus", f"{name}.fmu").exists() for name in arguments[2::2]), words
         return
-    if "--runs" in arguments:
+    if "--runs" in arguments:  # two show what a hundred do
         arguments[arguments.index("--runs") + 1] = "2"
     done = observer_fmus(*arguments)
     assert done.exit_code == 0, f"{' '.join(words)}\n{done.output}"
@@ -91,8 +91,8 @@ def run_code(text: str, namespace: dict[str, object]) -> None:
     said = re.findall(r"^print\(.*\)  # (.+)$", text, flags=re.M)
     shown = StringIO()
     with redirect_stdout(shown):
-        exec(text, namespace)
-    for expected, found in zip(said, shown.getvalue().splitlines(), strict=True):
+        exec(text.replace("runs=100", "runs=2"), namespace)
+    for expected, found in zip(said, shown.getvalue().splitlines() if said else [], strict=True):
         value, _, within = expected.partition(", within ")
         digits = len(value.partition(".")[2])
         assert abs(float(found) - float(value)) <= (float(within) if within else 0.5 * 10.0**-digits), (
