@@ -70,6 +70,14 @@ def settings(text: str) -> dict[str, str]:
     return dict(re.findall(r"--set (\S+)=([^\s`]+)", text))
 
 
+def test_every_model_of_the_gallery_has_a_page_with_its_picture_and_its_file() -> None:
+    assert GALLERY | {"docs/gallery/index.md"} == {name for name in PAGES if name.startswith("docs/gallery/")}
+    for name in GALLERY:
+        text, model = PAGES[name].read_text(encoding="utf-8"), Path(name).stem
+        assert f"](../images/gallery_{model}.svg)" in text and f"](../../gallery/{model}.py)" in text
+        assert f"]({model}.md)" in PAGES["docs/gallery/index.md"].read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_every_block_says_what_it_is(name: str) -> None:
     text = PAGES[name].read_text(encoding="utf-8")
