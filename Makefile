@@ -8,12 +8,12 @@ DEMO := gong_example_1 gong_example_1_spline gong_example_2 gong_example_3a gong
 # In CI the tests that take longer run too, and those that need other tools, which CI installs: no test skips there.
 MARKED := $(if $(CI),,-m "not long")
 COMMA := ,
-EXTRAS := test$(if $(CI),$(COMMA)masters)
+EXTRAS := test$(COMMA)docs$(if $(CI),$(COMMA)masters)
 READY := $(VENV)/ready$(if $(CI),-ci)
 FUZZ_SECONDS := 300
 AS_ROOT := $(if $(filter-out 0,$(shell id -u)),sudo)
 
-.PHONY: demo test bench trust fuzz mutants setup ci-tools lock clean
+.PHONY: demo test docs bench trust fuzz mutants setup ci-tools lock clean
 
 demo: setup ## set up, build the paper's FMUs and systems, run its Examples 1 to 3 and 6, write results/demo/report.html
 	$(BIN)/python build_fmus.py $(DEMO:%=--only %)
@@ -25,6 +25,9 @@ test: setup $(if $(CI),ci-tools) ## set up, lint, check types, run the tests
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m pytest -n logical --dist worksteal $(MARKED)
+
+docs: setup ## the documentation as a site, build/site/index.html, without any other host; a link that leads nowhere fails
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python build_fmus.py --only duffing_pseudospectral
@@ -62,7 +65,7 @@ ci-tools: ## Debian packages of other people's tools
 lock: ## renew constraints.txt: the newest versions that pyproject.toml allows
 	rm -rf $(LOCKED)
 	$(PYTHON) -m venv $(LOCKED)
-	$(LOCKED)/bin/python -m pip install --disable-pip-version-check -e ".[test,masters]"
+	$(LOCKED)/bin/python -m pip install --disable-pip-version-check -e ".[test,docs,masters]"
 	{ echo "# The exact versions that make and CI install, by \`make lock\`: the same lock, the same bytes (docs/fmu.md)."; \
 	    $(LOCKED)/bin/python -m pip freeze --disable-pip-version-check --exclude observer-fmus; } > $(LOCKED)/constraints.txt
 	mv $(LOCKED)/constraints.txt constraints.txt

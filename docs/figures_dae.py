@@ -17,7 +17,7 @@ from cosim.master import run
 from cosim.master.slave import RunError
 from cosim.results import Result
 from cosim.system import Element, System
-from observers.status import STATUS
+from observers.status import CODE, STATUS
 
 SYSTEM = "systems/gong_example_6.ssp"
 SAMPLE_TIME, FINE = 0.2, 0.01  # [s]
@@ -64,7 +64,8 @@ def starts() -> Table:
             SAMPLE_TIME,
         )
         error = np.abs([result[f"observer.filtered.{v}"][1:] - result[path][:-1] for v, path in TRUTH.items()])
-        estimated = np.flatnonzero(np.isin(result["observer.diagnostics.status"][1:], (2, 3)))
+        fitted = (CODE.estimating, CODE.settling)
+        estimated = np.flatnonzero(np.isin(result["observer.diagnostics.status"][1:], fitted))
         first = estimated[0]
         table.add_row(
             f"{voltage:g} V",

@@ -78,7 +78,9 @@ def test_the_installed_package_builds_checks_and_runs_a_users_model_in_another_f
 ) -> None:
     where = installed("python", "-c", "import observers, fmu_src, build_fmus; print(fmu_src.__file__)", cwd=tmp_path)
     assert str(ROOT) not in where
-    example = README.split("```python\n")[1].split("```")[0]
+    example = README.split('```python title="pendulum.py"\n')[1].split("```")[0]
+    installed("observer-fmus", "gallery", "quadruple_tank", cwd=tmp_path)
+    assert (tmp_path / "quadruple_tank.py").read_bytes() == (ROOT / "gallery" / "quadruple_tank.py").read_bytes()
     (tmp_path / "pendulum.py").write_text(example, encoding="utf-8")
     installed("observer-fmus", "build", "--file", "pendulum.py", cwd=tmp_path)
     plant, observer = tmp_path / "fmus" / "pendulum.fmu", tmp_path / "fmus" / "pendulum_pseudospectral.fmu"

@@ -1,0 +1,1 @@
+"""Worked models from the literature, each a file to start from: `observer-fmus gallery NAME` copies one."""
