@@ -194,6 +194,11 @@ class Record:
         convert.__name__ = function.__name__
         return convert
 
+    @property
+    def reals(self) -> np.ndarray:
+        """The Real outputs, a row each communication point, in the order of their columns."""
+        return self._arrays["Real"]
+
     def first_row(self) -> bytes:
         """The bytes of row 0."""
         return b"".join(self._arrays[kind][0].tobytes() for kind in STORED)
