@@ -19,7 +19,6 @@ from cosim.master.watched import LIMIT
 
 if TYPE_CHECKING:
     from cosim.tuning import Tuned
-    from cosim.tuning.tune import Part
 
 
 def tune(
@@ -123,10 +122,9 @@ def _show(made: Tuned) -> None:
         known = f"{math.expm1(said):.0%}" if said < math.log(2) else "-"
         values.add_row(p.name, p.unit, f"{p.start:.4g}", f"{made.values[p.name]:.4g}", known)
     out.print(values)
-    worth = _table("", "before", "after")
-    for label, part in (("fitted part", made.fitted), ("held-back part", made.held_back)):
-        for row in _rows(label, part, made.ahead):
-            worth.add_row(*row)
+    worth = _table("", "fitted part before", "after", "held-back part before", "after")
+    for row in _worth(made):
+        worth.add_row(*row)
     out.print(worth)
     facts = [f"{made.evaluations} replays of the fitted part, {made.fitted.after.samples} measurements."]
     if made.zeros:
@@ -146,20 +144,19 @@ def _table(*heads: str) -> Table:
     return table
 
 
-def _rows(label: str, part: Part, ahead: int) -> list[tuple[str, str, str]]:
-    """What is to be said of a part of the logs."""
-    found = []
-    if ahead:
-        for name, rms in part.before.rms.items():
-            found.append((f"{label}: error of {name} {ahead} ahead, rms", f"{rms:.4g}", f"{part.after.rms[name]:.4g}"))
+def _worth(made: Tuned) -> list[tuple[str, ...]]:
+    """What the noises are worth: the likelihood or the errors, the size of the innovations, whether they are white."""
+    judged = [one for part in (made.fitted, made.held_back) for one in (part.before, part.after)]
+    tested = [one for part in (made.fitted, made.held_back) for one in (part.consistent_before, part.consistent_after)]
+    rows: list[tuple[str, ...]] = []
+    if made.ahead:
+        for name in judged[0].rms:
+            rows.append((f"error of {name} {made.ahead} ahead, rms", *(f"{one.rms[name]:.4g}" for one in judged)))
     else:
-        before, after = (one.value / max(one.samples, 1) for one in (part.before, part.after))
-        found.append((f"{label}: log-likelihood a measurement", f"{before:.4f}", f"{after:.4f}"))
-    one, other = part.consistent_before, part.consistent_after
-    if not math.isnan(one.nis):
-        band = f"{one.band[0]:.2f} to {one.band[1]:.2f}"
-        found.append(
-            (f"{label}: squared innovations over their variance ({band})", f"{one.nis:.3f}", f"{other.nis:.3f}")
-        )
-    found.append((f"{label}: white, p-value", f"{one.whiteness:.2g}", f"{other.whiteness:.2g}"))
-    return found
+        values = (one.value / max(one.samples, 1) for one in judged)
+        rows.append(("log-likelihood a measurement", *(f"{value:.4f}" for value in values)))
+    if not math.isnan(tested[0].nis):
+        rows.append(("mean of NIS, 1 if consistent", *(f"{one.nis:.3f}" for one in tested)))
+        rows.append(("its 95 % band", *(f"{one.band[0]:.3f} to {one.band[1]:.3f}" for one in tested)))
+    rows.append(("whiteness, p-value", *(f"{one.whiteness:.2g}" for one in tested)))
+    return rows

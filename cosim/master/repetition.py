@@ -64,7 +64,8 @@ class Repetition:
     def load(self) -> None:
         """Load the FMUs; they stay until the process ends."""
         made = self.made
-        self._slaves = ExitStack().enter_context(loaded(made, self._folder))
+        self._stack = ExitStack()  # kept: what it holds is freed with it
+        self._slaves = self._stack.enter_context(loaded(made, self._folder))
         self._work = prepared(self._slaves, made.resolved, made.signals, made.order, made.record)
         if self._detour is not None:
             self._wandering = prepared(self._slaves, made.resolved, self._elsewhere, made.order, made.record)

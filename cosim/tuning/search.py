@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 
 Loss = Callable[[np.ndarray], float]
 
+SCALES = math.log(10) * np.arange(-4, 5)  # where each noise for itself is looked for
 REACH = 1.0  # of the logarithms: first radius of a round
 CLOSE = 3e-3  # the last one
 ROUNDS = 4  # at most; each starts where the one before ended, and looks as far around as that did
@@ -35,15 +36,16 @@ def search(
 ) -> Found:
     """The least loss from `start` on, by COBYQA (Ragonneau 2022), which models the loss by quadratics within bounds.
 
-    A round that ended in a valley or at a failure of the FMU is followed by one that looks as far around again. `progress` is called with
-    the evaluations done and the most that there can be.
+    It begins where each noise for itself, the others as they were, explains most. So one that is much too small beside the others begins
+    large: once others explain the data for it, its slope is 0. A round that ended in a valley or at a failure of the FMU is followed by one
+    that looks as far around again. `progress` is called with the evaluations done and the most that there can be.
     """
-    kept = _Kept(loss, progress, ROUNDS * EVALUATIONS * (len(start) + 1))
-    best = math.inf
+    kept = _Kept(loss, progress, (len(SCALES) + ROUNDS * EVALUATIONS) * (len(start) + 1))
+    begin, best = _scanned(kept, np.array(start), np.array(bounds)), math.inf
     for _ in range(ROUNDS):
         minimize(
             kept,
-            kept.x if math.isfinite(best) else np.array(start),
+            kept.x if math.isfinite(best) else begin,
             method="COBYQA",
             bounds=bounds,
             options={
@@ -56,6 +58,16 @@ def search(
             break
         best = kept.least
     return Found(kept.x, kept.least, kept.count)
+
+
+def _scanned(loss: Loss, start: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """For each entry of `start` what is best of SCALES of it within the bounds, the others as they are."""
+    found = np.array(start)
+    for i, (least, most) in enumerate(bounds):
+        tried = start[i] + SCALES[(start[i] + SCALES >= least) & (start[i] + SCALES <= most)]
+        points = np.where(np.arange(len(start)) == i, tried[:, None], start)
+        found[i] = tried[int(np.argmin([loss(x) for x in points]))]
+    return found
 
 
 class _Kept:
