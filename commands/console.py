@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -27,6 +28,16 @@ Assignments = Annotated[
         "--set",
         metavar=ELEMENT_FORM,
         help="Start value of a parameter or an unconnected input, such as plant.sensor.seed=7. May be repeated.",
+    ),
+]
+
+ParameterSet = Annotated[
+    Path | None,
+    typer.Option(
+        "--parameters",
+        metavar="FILE.ssv",
+        help="Start values from a parameter set, as tune writes one, for what has all of its names; --set goes first.",
+        show_default=False,
     ),
 ]
 
