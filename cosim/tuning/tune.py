@@ -123,7 +123,7 @@ def tune(
 
         start, bounds = logarithms(chosen.parameters)
         first = trials.judged(named(np.array(start)), held_back=False)  # an FMU that fails with its own noises says why
-        if not math.isfinite(first.value):
+        if not (first.samples and math.isfinite(first.value)):
             raise ExperimentError(
                 f"{fmu}: its own noises explain nothing of {logs[0]}: no measurement counts, or a noise is not finite"
             )

@@ -54,7 +54,9 @@ def test_several_systems_stay_loaded_beside_each_other(repeated: Repeated, syste
             np.testing.assert_array_equal(kept.run({}, STEPS).values, expected.values)
 
 
-def test_a_detour_ends_where_a_run_with_its_inputs_would_and_leaves_no_trace(repeated: Repeated, system: System) -> None:
+def test_a_detour_ends_where_a_run_with_its_inputs_would_and_leaves_no_trace(
+    repeated: Repeated, system: System
+) -> None:
     """From every 7th row on nothing is measured for six samples; the run's last, shorter part has no detour."""
     every = 7
     arrived = np.arange(STEPS + 1) % every == every - 1
