@@ -79,8 +79,7 @@ def tune(
 
     \b
     Example:
-      observer-fmus tune fmus/duffing_ukf.fmu log.csv --out tuned.ssv
-      observer-fmus replay fmus/duffing_ukf.fmu log.csv --parameters tuned.ssv
+      observer-fmus tune fmus/duffing_ukf.fmu log.csv --set u=0 --out tuned.ssv
     """
     # scipy's optimisers take a moment to load: only this command waits for them.
     from cosim.tuning import tune as perform

@@ -12,6 +12,7 @@ from cosim.fmu import read_description
 from cosim.results import read_csv
 from cosim.system import Element, System, write_ssp
 from cosim.system.parameter_set import parameters_of
+from cosim.tuning import search
 from simulated import TS, swing, write_log
 from verbs import observer_fmus, refused
 
@@ -99,6 +100,18 @@ def test_a_log_that_explains_nothing_and_a_file_that_cannot_be_written_are_one_l
     (tmp_path / "file").write_text("")
     line = refused(observer_fmus("tune", fmu, log, *QUICK, "--out", tmp_path / "file" / "x.ssv"))
     assert line.startswith("error: cannot write to ")
+
+
+def test_ctrl_c_is_one_line_and_nothing_is_written(
+    built: Build, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "minimize", interrupted)
+    out = tmp_path / "x.ssv"
+    line = refused(observer_fmus("tune", built("moved_riccati"), log, *QUICK, "--out", out), 130)
+    assert line == "error: stopped; nothing was written" and not out.exists()
 
 
 def test_run_and_campaign_give_the_values_to_the_element_that_has_them(built: Build, tmp_path: Path) -> None:
