@@ -48,7 +48,7 @@ def diffusion(
             a = rate(x, t)
             b = rate(x + h / 2 * a, t + h / 2)
             c = rate(x + h / 2 * b, t + h / 2)
-            d = rate(x + h * c, t + h)
+            d = rate(x + h * c, np.nextafter(t + h, t))  # an input that is held has not changed yet
             x = x + h / 6 * (a + 2 * b + 2 * c + d) + noise[i]
     return found
 
