@@ -110,7 +110,7 @@ def step_all(
 
     `here` takes what is being done: a number as `Slave.at` notes it, and the row that a step starts from.
     """
-    times = record.time.tolist()
+    times = record.times
     report = max(1, steps // PROGRESS_REPORTS)
     now, warning = perf_counter_ns, fmi2Warning  # local names are found faster
     for i in range(first, steps):
