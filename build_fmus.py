@@ -18,24 +18,29 @@ import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from cosim.errors import suggest
+from cosim.fmu import Value
 from cosim.interrupts import interrupts_blocked
 from cosim.system import Element, System, write_ssp
 from cosim.system.by_name import Ports, connect, element_names, role
+from cosim.system.parameter_set import read_parameter_set, the_one_with
+from cosim.system.route import Quantity
+from cosim.system.units import EXPONENTS, Unit, conversion
 from cosim.whole import whole
 from fmu_src import ExportError, export
 from fmu_src.archive import check_writable
+from fmu_src.description.units import parse
 from fmu_src.native.compiler import share_group
-from observers.component import Component
+from observers.component import Component, Port
 from reference_models import (
     calvillo_alamir,
     chen_yen_1999,
@@ -139,6 +144,39 @@ def build_of(path: Path) -> Build:
         step = min(components[one].step_size for one in fmu_of.values())
         systems[name] = Recipe(f"{driven_by().name} and {name}", fmu_of, {}, stop, step, made.connections)
     return Build(fmus, systems)
+
+
+def with_parameters(work: Build, path: Path) -> Build:
+    """`work` with the values in a parameter set (.ssv) as start values of the one component that has all of its names.
+
+    Raises:
+        ValueError: no such file or set, no component with these names, or several; a value that a parameter does not take.
+    """
+    values = read_parameter_set(path)
+    known = {name: [p.name for p in make().parameters] for name, (make, _) in work.fmus.items()}
+    name = the_one_with(path, values, known)
+    make, driven_by = work.fmus[name]
+    component = make()
+    try:
+        tuned = replace(component, parameters=tuple(_started(p, values) for p in component.parameters))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return Build({**work.fmus, name: (_maker(tuned), driven_by)}, work.systems)
+
+
+def _started(port: Port, values: Mapping[str, Value | Quantity]) -> Port:
+    """`port` with its start value from `values`, in its own unit."""
+    if port.name not in values:
+        return port
+    given = values[port.name]
+    value, unit = (given.value, given.route.unit) if isinstance(given, Quantity) else (given, None)
+    if isinstance(value, str):
+        raise ValueError(f"'{port.name}': '{value}' is not a number")
+    if unit is not None and port.unit:
+        own = parse(port.unit)
+        target = Unit(port.unit, tuple(own.exponents.get(base, 0) for base in EXPONENTS), own.factor, own.offset)
+        value = conversion(unit, target)(float(value))
+    return replace(port, start=float(value))
 
 
 def _driver(component: Component, among: Iterable[Component]) -> Callable[[], Component] | None:

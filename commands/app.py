@@ -16,7 +16,7 @@ from commands.console import say
 from observers import __version__
 
 NAME = "observer-fmus"
-VERBS = ("new", "gallery", "build", "signal", "system", "run", "compare", "campaign", "replay", "check")
+VERBS = ("new", "gallery", "build", "signal", "system", "run", "compare", "campaign", "replay", "tune", "check")
 
 
 class _Verbs(TyperGroup):

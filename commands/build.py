@@ -12,7 +12,7 @@ import typer
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from build_fmus import build_all, build_of, choose
+from build_fmus import build_all, build_of, choose, with_parameters
 from commands.console import err, fail
 from fmu_src import ExportError, ExportWarning
 
@@ -33,6 +33,14 @@ def build(
     target: Annotated[
         str, typer.Option(help="native: C without dependencies; python: a PythonFMU, which needs Python in the tool.")
     ] = "native",
+    parameters: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.ssv",
+            help="A parameter set, as tune writes one: its values become the start values of the FMU that has all of its names.",
+            show_default=False,
+        ),
+    ] = None,
     file: Annotated[
         Path | None,
         typer.Option(
@@ -51,6 +59,8 @@ def build(
     try:
         with err.status(escape(f"working out what {file} defines")) if file is not None else nullcontext():
             work = build_of(file) if file is not None else choose(only or [])
+            if parameters is not None:
+                work = with_parameters(work, parameters)
     except (ValueError, KeyError) as error:
         fail(str(error.args[0]), 2)
     except KeyboardInterrupt:

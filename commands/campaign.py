@@ -11,11 +11,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import Assignments, CallLimit, err, fail, out, plain, split_assignments
+from commands.console import Assignments, CallLimit, ParameterSet, err, fail, out, plain, split_assignments
 from cosim.campaign.run import SETTLE
 from cosim.campaign.variation import parse
 from cosim.errors import ExperimentError, SystemFileError
+from cosim.fmu import Value
 from cosim.master.watched import LIMIT
+from cosim.system.parameter_set import parameters_in_system
 
 if TYPE_CHECKING:
     from cosim.campaign.campaign import Campaign
@@ -34,6 +36,7 @@ def campaign(
         ),
     ],
     assignments: Assignments = None,
+    parameters: ParameterSet = None,
     out_directory: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="The campaign's folder.", show_default="results/<file>_campaign"),
@@ -78,7 +81,10 @@ def campaign(
 
     directory = out_directory or Path("results") / f"{system.stem}_campaign"
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    overrides: dict[str, Value] = {**split_assignments(assignments)}
     try:
+        if parameters is not None:
+            overrides = parameters_in_system(parameters, system) | overrides
         with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as display:
             task = display.add_task("runs", total=runs)
             made = perform(
@@ -86,7 +92,7 @@ def campaign(
                 directory,
                 runs=runs,
                 vary=parse(vary),
-                overrides=split_assignments(assignments),
+                overrides=overrides,
                 seed=seed,
                 stop=stop,
                 settle=settle,

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -47,6 +48,16 @@ def _call_limit(text: str | float) -> float:
         raise typer.BadParameter(f"{text} s is not finite or shorter than {SHORTEST_CALL:g} s")
     return limit
 
+
+ParameterSet = Annotated[
+    Path | None,
+    typer.Option(
+        "--parameters",
+        metavar="FILE.ssv",
+        help="Start values from a parameter set, as tune writes one, for what has all of its names; --set goes first.",
+        show_default=False,
+    ),
+]
 
 CallLimit = Annotated[
     float,

@@ -10,15 +10,17 @@ import numpy as np
 import typer
 from rich.text import Text
 
-from commands.console import SHOWN, CallLimit, fail, late_progress, out, split_assignments
+from commands.console import SHOWN, CallLimit, ParameterSet, fail, late_progress, out, split_assignments
 from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, how_read, reading
 from commands.records import Format, RecordFormat, command_html, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
+from cosim.fmu import Value, read_description
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.replay import Replay
 from cosim.replay import replay as perform
 from cosim.report.page import Table, write_report
+from cosim.system.parameter_set import parameters_of
 
 JITTER = 1e-3  # of the sample time: rows farther from their sample instants are worth a word
 
@@ -55,6 +57,7 @@ def replay(
             help="Start value of a parameter, or the constant value of an input without a column. May be repeated.",
         ),
     ] = None,
+    parameters: ParameterSet = None,
     separator: Separator = None,
     decimal: Decimal = None,
     encoding: Encoding = None,
@@ -71,7 +74,10 @@ def replay(
       observer-fmus replay fmus/duffing_ukf.fmu log.csv --map y=position
     """
     directory = out_directory or Path("results") / f"{fmu.stem}_replay"
+    overrides: dict[str, Value] = {**split_assignments(assignments, "--set", "VARIABLE=VALUE")}
     try:
+        if parameters is not None:
+            overrides = parameters_of(parameters, read_description(fmu)) | overrides
         with late_progress() as progress:
             made = perform(
                 fmu,
@@ -79,7 +85,7 @@ def replay(
                 sample_time=sample_time,
                 mapping=split_assignments(mapped, "--map", "INPUT=COLUMN"),
                 reading=reading(separator, decimal, encoding, missing, skip_lines, skip_bad_rows),
-                overrides=split_assignments(assignments, "--set", "VARIABLE=VALUE"),
+                overrides=overrides,
                 progress=progress,
                 limit=limit,
             )

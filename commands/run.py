@@ -11,14 +11,26 @@ import typer
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import SHOWN, Assignments, CallLimit, fail, late_progress, out, plain, split_assignments
+from commands.console import (
+    SHOWN,
+    Assignments,
+    CallLimit,
+    ParameterSet,
+    fail,
+    late_progress,
+    out,
+    plain,
+    split_assignments,
+)
 from commands.records import Format, RecordFormat, command_html, errors_of, print_table, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
+from cosim.fmu import Value
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.master.watched import run as run_system
 from cosim.report.page import Table, write_report
 from cosim.results import Result
+from cosim.system.parameter_set import parameters_in_system
 
 
 def run(
@@ -28,6 +40,7 @@ def run(
         typer.Option("--out", metavar="DIR", help="Where the files go.", show_default="results/<name of the file>"),
     ] = None,
     assignments: Assignments = None,
+    parameters: ParameterSet = None,
     input_file: Annotated[
         Path | None,
         typer.Option(
@@ -53,8 +66,10 @@ def run(
       observer-fmus run systems/gong_example_1.ssp --set plant.sensor.seed=7
     """
     directory = out_directory or Path("results") / system.stem
-    overrides = split_assignments(assignments)
+    overrides: dict[str, Value] = {**split_assignments(assignments)}
     try:
+        if parameters is not None:
+            overrides = parameters_in_system(parameters, system) | overrides
         with late_progress() as progress:
             result = run_system(
                 system,

@@ -77,19 +77,37 @@ def parsed(
         size = archive.getinfo(member).file_size
     except KeyError:
         raise SystemFileError(f"{label}: there is no {member} in it") from None
+    return _root(size, lambda: archive.read(member), f"{label}: {member}", declared)
+
+
+def parsed_file(path: Path) -> etree._Element:
+    """The root of the XML file at `path`.
+
+    Raises:
+        SystemFileError: no such file, it cannot be read, or as `parsed`.
+    """
+    if not path.is_file():
+        raise SystemFileError(not_a_file(path))
+    try:
+        return _root(path.stat().st_size, path.read_bytes, str(path), bytes)
+    except OSError as error:
+        raise SystemFileError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _root(size: int, read: Callable[[], bytes], where: str, declared: Callable[[bytes], bytes]) -> etree._Element:
     if size > LARGEST_XML:
-        raise SystemFileError(f"{label}: {member} has {size / 2**20:.0f} MiB, more than {LARGEST_XML / 2**20:.0f} MiB")
-    content = archive.read(member)
+        raise SystemFileError(f"{where} has {size / 2**20:.0f} MiB, more than {LARGEST_XML / 2**20:.0f} MiB")
+    content = read()
     marks = content.count(b"<") + content.count(b"=")
     if marks > MOST_MARKS:
-        raise SystemFileError(f"{label}: {member} has {marks} tags and attributes, more than {MOST_MARKS}")
+        raise SystemFileError(f"{where} has {marks} tags and attributes, more than {MOST_MARKS}")
     try:
         # No entities, no network: the file may come from anywhere.
         parser = etree.XMLParser(resolve_entities=False, no_network=True)
         root = etree.fromstring(declared(content), parser)
     except etree.XMLSyntaxError as error:
         said = str(error.msg).partition("\n")[0]  # the parser repeats the place on a line of its own
-        raise SystemFileError(f"{label}: {member}, line {error.lineno}: {said}") from None
+        raise SystemFileError(f"{where}, line {error.lineno}: {said}") from None
     if root.getroottree().docinfo.doctype:
-        raise SystemFileError(f"{label}: {member} has a document type, which neither FMI nor SSP knows")
+        raise SystemFileError(f"{where} has a document type, which neither FMI nor SSP knows")
     return root

@@ -23,7 +23,8 @@ import numpy as np
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.fmu import Value
 from cosim.master.record import Outline
-from cosim.master.run import Inputs, perform, prepare
+from cosim.master.repetition import Detour, Repetition
+from cosim.master.run import Inputs, Prepared, perform, prepare
 from cosim.master.slave import RunError
 from cosim.results import MOST_MESSAGES, Message, Messages
 from cosim.system import System
@@ -43,6 +44,23 @@ class Request:
     step: float | None
     overrides: dict[str, Value]
     inputs: Inputs | None
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Load what `request` says, and keep it to be run by `Again`, with detours if there is one."""
+
+    request: Request
+    detour: Detour | None
+
+
+@dataclass(frozen=True)
+class Again:
+    """The first `steps` steps of the kept run with this `number`, counted from 0, with other start values."""
+
+    number: int
+    overrides: dict[str, Value]
+    steps: int
 
 
 @dataclass(frozen=True)
@@ -88,38 +106,26 @@ def mapped(folder: Path, name: str, shape: tuple[int, ...], dtype: Any, mode: An
     return np.memmap(folder / RECORD / name, dtype, mode, shape=shape)
 
 
-def _serve(request: Request, answer: Callable[[object], None]) -> Ended:
-    shapes: dict[str, tuple[tuple[int, ...], Any]] = {}
-    scratch = request.folder / "scratch"
-    for folder in (scratch, request.folder / RECORD):
-        folder.mkdir()
-    os.chdir(scratch)
-
-    def allocate(name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-        shapes[name] = (shape, dtype)
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        if size and hasattr(os, "posix_fallocate"):  # a full disk must be an error now, not a signal in the middle
-            with (request.folder / RECORD / name).open("wb") as file:
-                try:
-                    os.posix_fallocate(file.fileno(), 0, size)
-                except OSError as error:
-                    raise MemoryError from error
-            return mapped(request.folder, name, shape, dtype, "r+")
-        return mapped(request.folder, name, shape, dtype, "w+")
-
+def _serve(request: Request | Keep | Again, answer: Callable[[object], None], kept: list[Repetition]) -> Ended:
     try:
-        made = prepare(
-            request.system,
-            request.folder,
-            stop=request.stop,
-            step=request.step,
-            overrides=request.overrides,
-            inputs=request.inputs,
-            allocate=allocate,
-        )
-        made.record.messages = _Told(answer)
-        answer(Begun(made.record.outline, shapes))
-        perform(made, request.folder)
+        match request:
+            case Request():
+                record = _Record(request.folder)
+                made = _prepared(request, record, answer)
+                answer(Begun(made.record.outline, record.shapes))
+                perform(made, request.folder)
+            case Keep(request=wanted, detour=detour):
+                record = _Record(wanted.folder)
+                made = _prepared(wanted, record, answer)
+                assert not isinstance(wanted.inputs, Path)
+                repeated = Repetition(
+                    made, wanted.folder, wanted.inputs or {}, wanted.overrides, detour, record.allocate
+                )
+                answer(Begun(made.record.outline, record.shapes))
+                repeated.load()
+                kept.append(repeated)
+            case Again():
+                kept[request.number].again(request.overrides, request.steps)
     except RunError as error:
         return Ended("RunError", error.text, error.element, error.time)
     except (SystemFileError, ExperimentError) as error:
@@ -127,6 +133,44 @@ def _serve(request: Request, answer: Callable[[object], None]) -> Ended:
     except Exception:
         return Ended("Exception", traceback.format_exc())
     return Ended()
+
+
+def _prepared(request: Request, record: _Record, answer: Callable[[object], None]) -> Prepared:
+    scratch = request.folder / "scratch"
+    for folder in (scratch, request.folder / RECORD):
+        folder.mkdir()
+    os.chdir(scratch)
+    made = prepare(
+        request.system,
+        request.folder,
+        stop=request.stop,
+        step=request.step,
+        overrides=request.overrides,
+        inputs=request.inputs,
+        allocate=record.allocate,
+    )
+    made.record.messages = _Told(answer)
+    return made
+
+
+class _Record:
+    """The files of a record in the folder of a run; `shapes` and types by name."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self.shapes: dict[str, tuple[tuple[int, ...], Any]] = {}
+
+    def allocate(self, name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+        self.shapes[name] = (shape, dtype)
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        if size and hasattr(os, "posix_fallocate"):  # a full disk must be an error now, not a signal in the middle
+            with (self._folder / RECORD / name).open("wb") as file:
+                try:
+                    os.posix_fallocate(file.fileno(), 0, size)
+                except OSError as error:
+                    raise MemoryError from error
+            return mapped(self._folder, name, shape, dtype, "r+")
+        return mapped(self._folder, name, shape, dtype, "w+")
 
 
 class _Told(Messages):
@@ -148,7 +192,8 @@ def main() -> None:
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
-    waiting: queue.Queue[Request] = queue.Queue()
+    waiting: queue.Queue[Request | Keep | Again] = queue.Queue()
+    kept: list[Repetition] = []
 
     def listen() -> None:
         while (request := receive(requests)) is not None:
@@ -163,6 +208,6 @@ def main() -> None:
             send(answers, thing)
 
     while True:
-        ended = _serve(waiting.get(), answer)
+        ended = _serve(waiting.get(), answer, kept)
         sys.stdout.flush()
         answer(ended)

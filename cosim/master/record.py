@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -215,6 +216,16 @@ class Record:
 
         convert.__name__ = function.__name__
         return convert
+
+    @cached_property
+    def times(self) -> list[float]:
+        """`time` as numbers of Python's, which a step takes faster than those of an array."""
+        return self.time.tolist()
+
+    @property
+    def reals(self) -> np.ndarray:
+        """The Real outputs, a row each communication point, in the order of their columns."""
+        return self._arrays["Real"]
 
     def first_row(self) -> bytes:
         """The bytes of row 0."""

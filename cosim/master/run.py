@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from cosim.master.record import Allocate, Record, allocate
 from cosim.master.schedule import Schedule, schedule
 from cosim.master.signals import Signal, checked, sampled
 from cosim.master.slave import CALLS, TERMINATE, RunError, Slave
-from cosim.master.stepping import initialise, step_all
+from cosim.master.stepping import initialise, prepared, step_all
 from cosim.results import Result
 from cosim.system import System
 from cosim.system.resolve import find_variable, resolve, resolve_ssp
@@ -140,6 +140,16 @@ def perform(made: Prepared, directory: Path, progress: Callable[[int, int], None
         SystemFileError: an FMU is damaged.
         RunError: an FMU failed; the record has the rows up to there.
     """
+    with loaded(made, directory) as slaves:
+        begin(made, slaves, made.values)
+        work = prepared(slaves, made.resolved, made.signals, made.order, made.record)
+        step_all(work, made.record, 0, made.steps, made.step, made.here.data, progress)
+        end(made, slaves)
+
+
+@contextmanager
+def loaded(made: Prepared, directory: Path) -> Iterator[dict[str, Slave]]:
+    """The FMUs of a run, unpacked into `directory` and instantiated; freed after the block."""
     resolved, here = made.resolved, made.here.data
     folders: dict[Path, Path] = {}
     for element in resolved.system.elements.values():
@@ -154,11 +164,19 @@ def perform(made: Prepared, directory: Path, progress: Callable[[int, int], None
             messages, start = made.record.messages, resolved.system.start
             slaves[name] = Slave(name, description, folder, messages, start, here, place)
             stack.callback(slaves[name].free)
-        initialise(slaves, resolved, made.values, made.signals, made.order, made.record, made.stop)
-        step_all(slaves, resolved, made.signals, made.order, made.record, made.steps, made.step, here, progress)
-        for slave in slaves.values():
-            slave.at(TERMINATE)
-            slave.call(made.stop, lambda fmu: fmu.terminate())
+        yield slaves
+
+
+def begin(made: Prepared, slaves: Mapping[str, Slave], values: Mapping[str, Mapping[str, Value]]) -> None:
+    """Everything up to row 0, with the start `values`."""
+    initialise(slaves, made.resolved, values, made.signals, made.order, made.record, made.stop)
+
+
+def end(made: Prepared, slaves: Mapping[str, Slave]) -> None:
+    """What follows the last step."""
+    for slave in slaves.values():
+        slave.at(TERMINATE)
+        slave.call(made.stop, lambda fmu: fmu.terminate())
 
 
 def count_steps(start: float, stop: float, step: float) -> int:

@@ -6,6 +6,7 @@ import ctypes
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter_ns
+from typing import Any
 
 from fmpy.fmi2 import fmi2DoStepStatus, fmi2OK, fmi2Pending, fmi2Warning
 
@@ -17,6 +18,8 @@ from cosim.master.slave import ENTER, EXIT, GET, SET, SET_UP, STEP, Slave
 from cosim.system.resolved import ResolvedSystem
 
 PROGRESS_REPORTS = 200  # per run
+# Of each element: itself, the calls that set its inputs, its step, its component, durations, the calls that read it, what it is at.
+Work = list[tuple[Slave, list[Access], Any, int, memoryview, list[Access], int, int, int]]
 POLL = 1e-3  # [s] between two questions whether a step that is pending has ended
 
 
@@ -78,21 +81,12 @@ def initialise(
     record.rows = 1
 
 
-def step_all(
-    slaves: Mapping[str, Slave],
-    resolved: ResolvedSystem,
-    signals: Sequence[Signal],
-    order: Schedule,
-    record: Record,
-    steps: int,
-    step: float,
-    here: memoryview,
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    """All steps. `here` takes what is being done: a number as `Slave.at` notes it, and the row that a step starts from."""
-    times = record.time.tolist()
+def prepared(
+    slaves: Mapping[str, Slave], resolved: ResolvedSystem, signals: Sequence[Signal], order: Schedule, record: Record
+) -> Work:
+    """The calls that each element's step takes, in their order."""
     into = grouped(resolved.connections)
-    work = []
+    work: Work = []
     for name in order.stepping:
         slave, row = slaves[name], int(name in order.following)
         sets = driving(signals, slave, row) + record.writing(slave, into.get(name, []), row)
@@ -100,9 +94,26 @@ def step_all(
         durations = record.step_ns[name].data
         marks = (slave.place + SET, slave.place + STEP, slave.place + GET)
         work.append((slave, sets, slave.do_step, slave.component, durations, record.reading(slave, 1), *marks))
+    return work
+
+
+def step_all(
+    work: Work,
+    record: Record,
+    first: int,
+    steps: int,
+    step: float,
+    here: memoryview,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """The steps from row `first` of the record to row `steps`, of size `step` [s].
+
+    `here` takes what is being done: a number as `Slave.at` notes it, and the row that a step starts from.
+    """
+    times = record.times
     report = max(1, steps // PROGRESS_REPORTS)
     now, warning = perf_counter_ns, fmi2Warning  # local names are found faster
-    for i in range(steps):
+    for i in range(first, steps):
         time = times[i]
         here[1] = i
         for slave, sets, do_step, component, durations, gets, setting, stepping, getting in work:

@@ -23,7 +23,7 @@ import numpy as np
 
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.fmu import Value
-from cosim.master.child import RECORD, Begun, Ended, Request, mapped, receive, send
+from cosim.master.child import RECORD, Again, Begun, Ended, Keep, Request, mapped, receive, send
 from cosim.master.run import NOTHING, Inputs
 from cosim.master.slave import CALLS, GET, RunError
 from cosim.python import command, end, environment
@@ -74,7 +74,7 @@ class Child:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._kill()
+        self.kill()
 
     def run(
         self,
@@ -91,29 +91,35 @@ class Child:
         # Where Windows still holds files of a process that was killed, what is left there is left.
         with tempfile.TemporaryDirectory(prefix="cosim-", ignore_cleanup_errors=True) as directory:
             folder = Path(directory).resolve()
-            whole = _absolute(system)
+            whole = absolute(system)
             given = inputs.resolve() if isinstance(inputs, Path) else inputs
             self._said.clear()
             try:
-                self._send(Request(whole, folder, stop, step, dict(overrides or {}), given))
-                return self._watch(folder, progress, limit)
+                self.send(Request(whole, folder, stop, step, dict(overrides or {}), given))
+                return self.watch(folder, progress, limit)[0]
             except BaseException as error:
                 if not isinstance(error, (SystemFileError, ExperimentError, RunError)):
-                    self._kill()  # Ctrl-C: nothing goes on behind our back
+                    self.kill()  # Ctrl-C: nothing goes on behind our back
                 if isinstance(error, (SystemFileError, ExperimentError)) and isinstance(whole, Path):
                     # Files in it are the caller's by its name, and it is called as the caller does.
                     text = str(error).replace(f"{folder}/", f"{whole}: ").replace(str(whole), str(system))
                     raise type(error)(text) from None
                 raise
 
-    def _send(self, request: Request) -> None:
-        if self._process is None or self._process.poll() is not None:
+    @property
+    def alive(self) -> bool:
+        """Is there a process, with all that it keeps?"""
+        return self._process is not None and self._process.poll() is None
+
+    def send(self, request: Request | Keep | Again) -> None:
+        """Ask the process for something, of which `watch` tells what came of it."""
+        if not self.alive:
             self._start()
         assert self._process is not None and self._process.stdin is not None
         try:
             send(self._process.stdin, request)  # type: ignore[arg-type]
         except OSError:  # what an earlier FMU left behind has just ended it
-            self._kill()
+            self.kill()
             self._start()
             send(self._process.stdin, request)  # type: ignore[arg-type]
 
@@ -143,8 +149,10 @@ class Child:
         for task in (listen, hear):
             threading.Thread(target=task, daemon=True).start()
 
-    def _watch(self, folder: Path, progress: Callable[[int, int], None] | None, limit: float) -> Result:
-        begun: Begun | None = None
+    def watch(
+        self, folder: Path, progress: Callable[[int, int], None] | None, limit: float, begun: Begun | None = None
+    ) -> tuple[Result, Begun]:
+        """What came of the request that was sent last, and how it began (`begun` where that was before). Errors as of `run`."""
         messages = Messages()
         seen, since = (0, NOTHING), clock.monotonic()
         while True:
@@ -166,7 +174,7 @@ class Child:
                     begun = answer
                 case Ended(kind=""):
                     assert begun is not None
-                    return self._result(begun, folder, seen[1], messages)
+                    return self._result(begun, folder, seen[1], messages), begun
                 case Ended(kind="RunError"):
                     raise self._failure(answer.element, answer.time, answer.text, begun, folder, seen[1], messages)
                 case Ended(kind="SystemFileError"):
@@ -179,7 +187,7 @@ class Child:
                     how = self._how()
                     raise self._down(how, begun, folder, _at(folder, begun), messages)
             if clock.monotonic() - since > limit:
-                self._kill()
+                self.kill()
                 raise self._down(f"has not returned for {limit:g} s", begun, folder, seen, messages)
 
     def _down(
@@ -231,14 +239,14 @@ class Child:
         try:
             code = self._process.wait(timeout=5)
         except subprocess.TimeoutExpired:  # an FMU closed or filled the pipe
-            self._kill()
+            self.kill()
             return "broke the connection to the process that it runs in"
-        self._kill()
+        self.kill()
         if code < 0:
             return f"ended the process by {signal.Signals(-code).name}"
         return f"ended the process with exit({code})"
 
-    def _kill(self) -> None:
+    def kill(self) -> None:
         """End the process, and what it started."""
         process, self._process = self._process, None
         if process is None:
@@ -259,7 +267,7 @@ def _at(folder: Path, begun: Begun | None) -> tuple[int, int] | None:
     return place, row
 
 
-def _absolute(system: System | Path | str) -> System | Path:
+def absolute(system: System | Path | str) -> System | Path:
     if not isinstance(system, System):
         return Path(system).resolve()
     elements = {name: replace(element, fmu=element.fmu.resolve()) for name, element in system.elements.items()}

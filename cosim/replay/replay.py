@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ModelVariable
 
 from cosim.errors import ExperimentError
 from cosim.fmu import Value, read_description, typed_value
 from cosim.master.watched import LIMIT, run
-from cosim.replay.log import Log, Rows, read_log
+from cosim.replay.log import Column, Log, Rows, read_log
 from cosim.replay.reading import Reading
 from cosim.replay.sampling import Sampling, sampling
 from cosim.replay.signals import Signals, columns_of, converters, inputs_of, measured, read, signals, time_column, times
@@ -91,7 +91,65 @@ def replay(
             unknown or unfit override or mapping, a unit that is not the input's.
         cosim.master.slave.RunError: the FMU failed, ended its process or did not return; `partial` of the error has the rows up to there.
     """
-    fmu, overrides, mapping = Path(fmu).resolve(), overrides or {}, mapping or {}
+    overrides = overrides or {}
+    made = connected(fmu, log, sample_time, mapping or {}, reading, overrides)
+    result = run(
+        made.system,
+        overrides={f"{ELEMENT}.{name}": value for name, value in overrides.items()},
+        inputs={f"{ELEMENT}.{name}": values for name, values in made.fed.items()},
+        progress=progress,
+        limit=limit,
+    )
+    there = made.sampling.rows[made.sampling.rows >= 0]
+    return Replay(
+        result=result,
+        sampling=made.sampling,
+        recorded=len(made.rows.lines),
+        log=made.log,
+        rows=made.rows,
+        signals=made.signals,
+        columns={name: column.head for name, column in made.columns.items()},
+        ignored=made.ignored,
+        kept=[name for name in made.inputs if name not in made.columns],
+        empty={name: int(np.isnan(values[:-1]).sum()) for name, values in made.fed.items()},
+        held={name: int(empty[there].sum()) for name, empty in made.signals.missing.items()},
+    )
+
+
+@dataclass(frozen=True)
+class Connected:
+    """An observer FMU and a log that is to drive it.
+
+    Attributes:
+        description: the FMU's.
+        system: the FMU as the element ELEMENT, from the first sample instant to one sample time after the last.
+        fed: the values of the inputs that have a column, at the communication points.
+        inputs: the FMU's, by name; `columns`: of those that have one.
+        log, rows, signals, sampling, ignored: as of `Replay`.
+    """
+
+    description: ModelDescription
+    system: System
+    fed: Mapping[str, np.ndarray]
+    inputs: Mapping[str, ModelVariable]
+    columns: Mapping[str, Column]
+    log: Log
+    rows: Rows
+    signals: Signals
+    sampling: Sampling
+    ignored: list[str]
+
+
+def connected(
+    fmu: Path | str,
+    log: Path | str,
+    sample_time: float | None,
+    mapping: Mapping[str, str],
+    reading: Reading | None,
+    overrides: Mapping[str, Value],
+) -> Connected:
+    """The FMU and the log, found to suit each other. Arguments and errors as of `replay`."""
+    fmu = Path(fmu).resolve()
     description = read_description(fmu)
     found = read_log(Path(log), reading)
     inputs = inputs_of(description)
@@ -112,28 +170,9 @@ def replay(
         stop=taken.start + len(taken.rows) * taken.sample_time,
         step=taken.sample_time,
     )
-    result = run(
-        system,
-        overrides={f"{ELEMENT}.{name}": value for name, value in overrides.items()},
-        inputs={f"{ELEMENT}.{name}": values for name, values in fed.items()},
-        progress=progress,
-        limit=limit,
-    )
     used = {column.head for column in (*columns.values(), instants) if column is not None}
-    there = taken.rows[taken.rows >= 0]
-    return Replay(
-        result=result,
-        sampling=taken,
-        recorded=len(rows.lines),
-        log=found,
-        rows=rows,
-        signals=made,
-        columns={name: column.head for name, column in columns.items()},
-        ignored=[head for head in found.heads if head not in used],
-        kept=[name for name in inputs if name not in columns],
-        empty={name: int(np.isnan(values[:-1]).sum()) for name, values in fed.items()},
-        held={name: int(empty[there].sum()) for name, empty in made.missing.items()},
-    )
+    ignored = [head for head in found.heads if head not in used]
+    return Connected(description, system, fed, inputs, columns, found, rows, made, taken, ignored)
 
 
 def _check_size(log: Log, taken: Sampling, description: ModelDescription) -> None:

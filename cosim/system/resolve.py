@@ -137,13 +137,23 @@ def _parameters(
             continue
         try:
             variable = find_variable({name: variables}, f"{name}.{label}")[1]
-            if isinstance(given, Quantity):
-                steps = fitted(conversions(given.route, None, units.get(unit_of(variable))), None, variable)
-                given = apply(steps, float(given.value) if variable.type == "Real" and steps else given.value)
-            found[label] = typed_value(variable, given)
+            found[label] = parameter_value(variable, given, units)
         except (ValueError, OverflowError) as error:
             raise SystemFileError(f"system '{system}', parameters of '{name}': {error}") from None
     return found
+
+
+def parameter_value(variable: ModelVariable, given: Value | Quantity, units: Mapping[str, Unit]) -> Value:
+    """What a file gives `variable`, in the unit that it has among the `units` of its FMU.
+
+    Raises:
+        ValueError, OverflowError: it cannot be set, or not to this.
+    """
+    if not isinstance(given, Quantity):
+        return typed_value(variable, given)
+    steps = fitted(conversions(given.route, None, units.get(unit_of(variable))), None, variable)
+    value = apply(steps, float(given.value) if variable.type == "Real" and steps else given.value)
+    return typed_value(variable, value)
 
 
 class _Ends:

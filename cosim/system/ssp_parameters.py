@@ -28,7 +28,7 @@ def bindings(package: Package, base: str, element: etree._Element) -> Values:
         inline = binding.find("ssd:ParameterValues/*", NAMESPACES)
         given, where = _content(package, base, binding, inline, "Values", "ParameterSet", where)
         # The prefix comes before all else: the sources of a mapping have it, its targets do not.
-        found = {binding.get("prefix", "") + name: value for name, value in _values(given, where).items()}
+        found = {binding.get("prefix", "") + name: value for name, value in values_of(given, where).items()}
         mapping = binding.find("ssd:ParameterMapping", NAMESPACES)
         if mapping is not None:
             if mapping.get("type", "application/x-ssp-parameter-mapping") != "application/x-ssp-parameter-mapping":
@@ -66,7 +66,12 @@ def _content(
     return root, where
 
 
-def _values(parameters: etree._Element, where: str) -> Values:
+def values_of(parameters: etree._Element, where: str) -> Values:
+    """The values of a ParameterSet, which messages call `where`.
+
+    Raises:
+        SystemFileError: a binary one, or a unit that is not defined.
+    """
     units = ssp_units(parameters)
     values: Values = {}
     for parameter in parameters.iterfind("ssv:Parameters/ssv:Parameter", NAMESPACES):

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
-from fmpy.model_description import ModelVariable
+from fmpy.model_description import BaseUnit, ModelVariable
 from lxml import etree
 
 from cosim.errors import SystemFileError
@@ -75,33 +75,33 @@ def _write_archive(content: Mapping[str, bytes], path: Path) -> None:
 def _structure(resolved: ResolvedSystem) -> bytes:
     system = resolved.system
     root = etree.Element(f"{{{SSD}}}SystemStructureDescription", nsmap=_PREFIXES, version="1.0", name=system.name)
-    top = _add(root, SSD, "System", name=system.name, description=system.description)
-    elements = _add(top, SSD, "Elements")
+    top = add(root, SSD, "System", name=system.name, description=system.description)
+    elements = add(top, SSD, "Elements")
     for name in system.elements:
         _add_component(elements, resolved, name)
     if resolved.connections:
-        connections = _add(top, SSD, "Connections")
+        connections = add(top, SSD, "Connections")
         for c in resolved.connections:
             ends = {"startElement": c.source, "startConnector": c.output.name}
             ends |= {"endElement": c.target, "endConnector": c.input.name}
-            _add(connections, SSD, "Connection", **ends)
+            add(connections, SSD, "Connection", **ends)
     _add_enumerations(root, resolved)
     _add_units(root, resolved)
     stop, step = resolved.experiment()
-    experiment = _add(root, SSD, "DefaultExperiment", startTime=_literal(system.start), stopTime=_literal(stop))
-    annotation = _add(_add(experiment, SSD, "Annotations"), SSC, "Annotation", type=OSP_ANNOTATION)
-    _add(_add(annotation, OSP, "Algorithm"), OSP, "FixedStepAlgorithm", baseStepSize=_literal(step))
+    experiment = add(root, SSD, "DefaultExperiment", startTime=literal(system.start), stopTime=literal(stop))
+    annotation = add(add(experiment, SSD, "Annotations"), SSC, "Annotation", type=OSP_ANNOTATION)
+    add(add(annotation, OSP, "Algorithm"), OSP, "FixedStepAlgorithm", baseStepSize=literal(step))
     validate(root, "SystemStructureDescription", f"system '{system.name}': {STRUCTURE}")
     for parameters in root.iter(f"{{{SSV}}}ParameterSet"):
         validate(parameters, "SystemStructureParameterValues", f"system '{system.name}': {STRUCTURE}")
     return etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True)
 
 
-def _add(parent: etree._Element, namespace: str, tag: str, **attributes: str) -> etree._Element:
+def add(parent: etree._Element, namespace: str, tag: str, **attributes: str) -> etree._Element:
     return etree.SubElement(parent, f"{{{namespace}}}{tag}", **attributes)
 
 
-def _literal(value: Value) -> str:
+def literal(value: Value) -> str:
     """`value` as XML Schema writes it; doubles in the shortest form that reads back exactly."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -130,23 +130,23 @@ def _connectors(resolved: ResolvedSystem, name: str) -> list[tuple[str, ModelVar
 def _add_component(elements: etree._Element, resolved: ResolvedSystem, name: str) -> None:
     element = resolved.system.elements[name]
     source = "resources/" + quote(element.fmu.name)
-    component = _add(elements, SSD, "Component", name=name, type="application/x-fmu-sharedlibrary", source=source)
+    component = add(elements, SSD, "Component", name=name, type="application/x-fmu-sharedlibrary", source=source)
     declared = _connectors(resolved, name)
     if declared:
-        connectors = _add(component, SSD, "Connectors")
+        connectors = add(component, SSD, "Connectors")
         for kind, variable in declared:
-            connector = _add(connectors, SSD, "Connector", name=variable.name, kind=kind)
-            _add(connector, SSC, variable.type, **_type_attributes(resolved, name, variable))
+            connector = add(connectors, SSD, "Connector", name=variable.name, kind=kind)
+            add(connector, SSC, variable.type, **_type_attributes(resolved, name, variable))
     if resolved.parameters[name]:
-        binding = _add(_add(component, SSD, "ParameterBindings"), SSD, "ParameterBinding")
-        values = _add(_add(binding, SSD, "ParameterValues"), SSV, "ParameterSet", version="1.0", name=PARAMETER_SET)
-        parameters = _add(values, SSV, "Parameters")
+        binding = add(add(component, SSD, "ParameterBindings"), SSD, "ParameterBinding")
+        values = add(add(binding, SSD, "ParameterValues"), SSV, "ParameterSet", version="1.0", name=PARAMETER_SET)
+        parameters = add(values, SSV, "Parameters")
         for variable_name, value in resolved.parameters[name].items():
             variable = resolved.variables[name][variable_name]
             if variable.type == "Enumeration":
                 value = enumeration_items(variable)[int(value)]
-            parameter = _add(parameters, SSV, "Parameter", name=variable_name)
-            _add(parameter, SSV, variable.type, value=_literal(value))
+            parameter = add(parameters, SSV, "Parameter", name=variable_name)
+            add(parameter, SSV, variable.type, value=literal(value))
 
 
 def _type_attributes(resolved: ResolvedSystem, name: str, variable: ModelVariable) -> dict[str, str]:
@@ -168,11 +168,11 @@ def _add_enumerations(root: etree._Element, resolved: ResolvedSystem) -> None:
                         f"element '{name}': another FMU defines the enumeration '{enumeration}' differently"
                     )
     if found:
-        enumerations = _add(root, SSD, "Enumerations")
+        enumerations = add(root, SSD, "Enumerations")
         for enumeration in sorted(found):
-            listed = _add(enumerations, SSC, "Enumeration", name=enumeration)
+            listed = add(enumerations, SSC, "Enumeration", name=enumeration)
             for number, item in sorted(found[enumeration].items()):
-                _add(listed, SSC, "Item", name=item, value=str(number))
+                add(listed, SSC, "Item", name=item, value=str(number))
 
 
 def _add_units(root: etree._Element, resolved: ResolvedSystem) -> None:
@@ -181,10 +181,20 @@ def _add_units(root: etree._Element, resolved: ResolvedSystem) -> None:
         used = {unit_of(variable) for _, variable in _connectors(resolved, name)}
         for unit in description.unitDefinitions:
             if unit.name in used and unit.baseUnit is not None:
-                base = {key: _literal(getattr(unit.baseUnit, key)) for key in (*EXPONENTS, "factor", "offset")}
+                base = base_of(unit.baseUnit)
                 if found.setdefault(unit.name, base) != base:
                     raise SystemFileError(f"element '{name}': another FMU defines the unit '{unit.name}' differently")
+    list_units(root, SSD, found)
+
+
+def base_of(unit: BaseUnit) -> dict[str, str]:
+    """The attributes of a BaseUnit, as an FMU's."""
+    return {key: literal(getattr(unit, key)) for key in (*EXPONENTS, "factor", "offset")}
+
+
+def list_units(root: etree._Element, namespace: str, found: Mapping[str, Mapping[str, str]]) -> None:
+    """The definitions of units, attributes of a BaseUnit by name, at the end of `root`; nothing where there are none."""
     if found:
-        units = _add(root, SSD, "Units")
-        for unit_name in sorted(found):
-            _add(_add(units, SSC, "Unit", name=unit_name), SSC, "BaseUnit", **found[unit_name])
+        units = add(root, namespace, "Units")
+        for name in sorted(found):
+            add(add(units, SSC, "Unit", name=name), SSC, "BaseUnit", **found[name])

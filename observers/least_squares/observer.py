@@ -35,6 +35,7 @@ import casadi as ca
 from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
+from observers.innovation_covariance import innovation_covariance
 from observers.least_squares import steps
 from observers.least_squares.weights import weights
 from observers.linear_inputs import with_linear_inputs
@@ -112,7 +113,7 @@ def least_squares(
         raise ValueError(f"least_squares: T = {T:g} s must be finite and at least the sample time, {sample_time:g} s")
     chosen = weights(model, line.variables, gamma, p0, measurement_noise, initial_std)
     v = steps.parts(model, line, chosen)
-    shown = [v.s.x, v.s.x_filtered, verdict(v.s.status), v.s.innovation, v.deviations(v.s)]
+    shown = [v.s.x, v.s.x_filtered, verdict(v.s.status), v.s.innovation, v.deviations(v.s), v.s.covariance]
     shown += [v.s.contraction, v.s.certified, v.s.intervals]
     shown += [v.s.rejected, v.s.failures, v.s.restarts]
     made = Component(
@@ -136,6 +137,7 @@ def least_squares(
             *ports.VERDICT,
             *ports.innovations(model),
             *ports.standard_deviations(model),
+            *innovation_covariance(model),
             *CONTRACTION,
             *ports.COUNTERS,
             ports.RESTARTS,

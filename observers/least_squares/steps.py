@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from observers import ports
+from observers import innovation_covariance, ports
 from observers.least_squares.information import error_covariance, information_update
 from observers.least_squares.weights import Weights
 from observers.linearisation import Linearisation
@@ -69,8 +69,9 @@ def parts(model: Model, line: Linearisation, weights: Weights) -> Parts:
     n, ny = len(line.variables), len(model.outputs)
     watch = Watch(model, n, known=weights.noise_known, weighted=not weights.by_noise)
     state = Layout(
-        x=n, Phi=n * n, Y=n * n, S=n * n, x_filtered=n, before=n, undoable=1, samples=1, innovation=ny, watch=watch.state.total, status=1,
-        contraction=1, certified=1, intervals=1, rejected=1, failures=1, restarts=1,
+        x=n, Phi=n * n, Y=n * n, S=n * n, x_filtered=n, before=n, undoable=1, samples=1, innovation=ny,
+        covariance=innovation_covariance.size(ny), watch=watch.state.total, status=1, contraction=1, certified=1, intervals=1, rejected=1,
+        failures=1, restarts=1,
     )  # fmt: skip
     tuned = {"samples": len(weights.samples), "prior": len(weights.prior)}
     settings = Layout(guess=n, model=len(model.parameters), T=1, **tuned, **SETTINGS, sample_time=1)
@@ -147,12 +148,12 @@ def jump(v: Parts) -> ca.Function:
     g, sigma = v.weights.of_sample(q.samples, q.sample_time)
     noise = sigma**2 if sigma.numel() else ca.repmat(1 / g, ny, 1)
     seen = line.gradient(s.x, read.known, q.model, v.t) @ ca.reshape(s.Phi, n, n)
-    spread = seen @ ca.reshape(s.S, n, n) @ seen.T
-    variances = ca.diag(spread) + noise
+    predicted = seen @ ca.reshape(s.S, n, n) @ seen.T
+    variances = ca.diag(predicted) + noise
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
     keep = ca.diag(acting)
-    S_nu = keep @ spread @ keep + ca.diag(ca.if_else(acting, noise, 1))
+    S_nu = keep @ predicted @ keep + ca.diag(ca.if_else(acting, noise, 1))
     heard = ca.if_else(acting, innovation, 0)
     squared = ca.dot(heard, linear.solver(ny, 1)(S_nu, heard))
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
@@ -180,6 +181,7 @@ def jump(v: Parts) -> ca.Function:
         undoable=1,
         samples=ca.if_else(good, ca.if_else(ended, 0, s.samples) + 1, 0),
         innovation=innovation,
+        covariance=innovation_covariance.spread(variances, lambda i, j: predicted[i, j]),
         watch=said.memory,
         contraction=ca.if_else(finite, factors[0], s.contraction),
         certified=ca.if_else(finite, factors[1], s.certified),

@@ -25,6 +25,7 @@ from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
 from observers.free_motion import FreeMotion, accurate_step, free_motion
+from observers.innovation_covariance import innovation_covariance
 from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import Linearisation, linearisation, refuse_undetectable, step_along
 from observers.model import Model, refuse
@@ -132,6 +133,7 @@ def riccati(
             *ports.VERDICT,
             *ports.innovations(model),
             *ports.standard_deviations(model),
+            *innovation_covariance(model),
             *CERTIFIED,
             *ports.COUNTERS,
             ports.RESTARTS,
@@ -152,8 +154,8 @@ def riccati(
 def _shown(v: steps.Parts, with_Q: bool) -> list[ca.MX]:
     """The outputs, in their order."""
     s, n = v.s, len(v.line.variables)
-    columns = [s.m, s.m_filtered, shown(s.status), s.innovation, v.deviations(s), s.certified, s.rate, s.rejected]
-    columns += [s.failures, s.restarts]
+    columns = [s.m, s.m_filtered, shown(s.status), s.innovation, v.deviations(s), s.covariance]
+    columns += [s.certified, s.rate, s.rejected, s.failures, s.restarts]
     return columns + [s.Q[i * n + j] for i in range(n) for j in range(n)] * with_Q
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from observers import ports
+from observers import innovation_covariance, ports
 from observers.bounds import conditioned, inside, projected
 from observers.linearisation import Linearisation
 from observers.model import Model
@@ -60,8 +60,8 @@ def parts(model: Model, line: Linearisation, design: Design, certificate: Certif
     n, ny = len(line.variables), len(model.outputs)
     watch = Watch(model, n, known=design.noise_known, weighted=design.weighted)
     state = Layout(
-        m=n, Q=n * n, m_filtered=n, before=n, undoable=1, guess_error=1, innovation=ny, watch=watch.state.total, status=1, certified=1,
-        rate=1, rejected=1, failures=1, restarts=1,
+        m=n, Q=n * n, m_filtered=n, before=n, undoable=1, guess_error=1, innovation=ny, covariance=innovation_covariance.size(ny),
+        watch=watch.state.total, status=1, certified=1, rate=1, rejected=1, failures=1, restarts=1,
     )  # fmt: skip
     settings = Layout(guess=n, model=len(model.parameters), **design.sizes, initial_error=1, **SETTINGS, sample_time=1)
     z, u, p, t, h = (
@@ -83,6 +83,7 @@ def start(v: Parts) -> ca.Function:
         "undoable": ca.DM(0),  # whether to go back to it is worth a try
         "guess_error": v.certificate.distance(v.q.guess, v.q.initial_error),
         "innovation": ca.DM.zeros(len(v.model.outputs)),
+        "covariance": ca.DM.zeros(v.state.sizes["covariance"]),
         "watch": v.watch.start,
         "status": ca.DM(CODE.propagated_guess),
         "rejected": ca.DM(0),
@@ -136,7 +137,8 @@ def jump(v: Parts) -> ca.Function:
     valid, rejected = ports.judged(residual, read.offered)
     innovation = ca.if_else(valid, residual, 0)  # a residual that is not finite is not valid
     Q, C = ca.reshape(s.Q, n, n), line.gradient(inside(line.variables, s.m), *at[1:])
-    variances = ca.sum2((C @ Q) * C) + ca.diag(v.Rd)
+    CQ = C @ Q
+    variances = ca.sum2(CQ * C) + ca.diag(v.Rd)
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
     m, Q_after, squared = correction(n, ny)(s.m, Q, C, innovation, v.Rd, acting)
@@ -156,6 +158,7 @@ def jump(v: Parts) -> ca.Function:
         before=ca.if_else(said.restart, q.guess, s.m),
         undoable=1,
         innovation=innovation,
+        covariance=innovation_covariance.spread(variances, lambda i, j: ca.dot(CQ[i, :], C[j, :]) + v.Rd[i, j]),
         watch=said.memory,
         certified=certified,
         rate=rate,

@@ -21,6 +21,7 @@ from collections.abc import Mapping
 from observers import ports
 from observers.arguments import checked
 from observers.component import Component, Port
+from observers.innovation_covariance import innovation_covariance
 from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import prediction_step, refuse_unobservable
 from observers.model import Model, ModelError, refuse
@@ -98,6 +99,7 @@ def ukf(
             *ports.VERDICT,
             *ports.innovations(model),
             *ports.standard_deviations(model),
+            *innovation_covariance(model),
             *ports.COUNTERS,
             ports.RESTARTS,
         ),

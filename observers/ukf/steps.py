@@ -8,7 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from observers import ports
+from observers import innovation_covariance, ports
 from observers.bounds import conditioned, projected
 from observers.model import Model, Variable
 from observers.numerics import linear
@@ -102,8 +102,8 @@ def parts(model: Model, noise_known: bool) -> Parts:
     n, ny = len(model.states) + len(model.unknown_parameters), len(model.outputs)
     watch = Watch(model, n, known=noise_known)
     state = Layout(
-        points=n * (2 * n + 1), elapsed=1, filtered=n, before=n, undoable=1, innovation=ny, watch=watch.state.total, status=1, rejected=1,
-        failures=1, restarts=1,
+        points=n * (2 * n + 1), elapsed=1, filtered=n, before=n, undoable=1, innovation=ny,
+        covariance=innovation_covariance.size(ny), watch=watch.state.total, status=1, rejected=1, failures=1, restarts=1,
     )  # fmt: skip
     settings = Layout(
         guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, **SETTINGS, sample_time=1,
@@ -122,6 +122,7 @@ def start(v: Parts) -> ca.Function:
         "before": v.q.guess,  # the prediction at the last sample, before it acted
         "undoable": ca.DM(0),  # whether to go back to it is worth a try
         "innovation": ca.DM.zeros(len(v.model.outputs)),
+        "covariance": ca.DM.zeros(v.state.sizes["covariance"]),
         "watch": v.watch.start,
         "status": ca.DM(CODE.propagated_guess),
         "rejected": ca.DM(0),
@@ -200,6 +201,9 @@ def jump(v: Parts) -> ca.Function:
             "before": ca.if_else(lost, q.guess, mean),
             "undoable": ca.DM(1),
             "innovation": kept(innovation, 0),
+            "covariance": innovation_covariance.spread(
+                variances, lambda i, j: ca.dot(off[i, :] * off[j, :], weights.T)
+            ),
             "watch": said.memory,
             "status": s.status,
             "rejected": s.rejected + rejected,
@@ -220,6 +224,7 @@ def output(v: Parts) -> ca.Function:
         verdict_shown(s.status),
         s.innovation,
         v.deviations(s),
+        s.covariance,
         s.rejected,
         s.failures,
         s.restarts,
