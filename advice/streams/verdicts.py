@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.streams import hindsight
-from benchmarks.streams.corruptions import CLEAN, Corruption
-from benchmarks.streams.native import Sample
-from benchmarks.streams.streams import Stream, Streams
+from advice.streams import hindsight
+from advice.streams.corruptions import CLEAN, Corruption
+from advice.streams.native import Sample
+from advice.streams.streams import Stream, Streams
 from observers.component import Component
 from observers.instance import Instance
 

@@ -12,10 +12,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.compiler import compile_c
+from cosim.whole import whole
+from fmu_src.native.compiler import cache_folder, compile_library
+from fmu_src.platforms import PLATFORMS, resolve
 from observers.component import Component
 
-FOLDER = Path("build") / "trust"
 Sample = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 
 
@@ -62,14 +63,16 @@ def _one_function(component: Component, sample_time: float) -> ca.Function:
 
 def _library(function: ca.Function) -> Path:
     """The compiled function; one whose C is known is not compiled again."""
+    platform = resolve(["host"])[0]
     with TemporaryDirectory() as scratch:
         generator = ca.CodeGenerator("sample.c")
         generator.add(function)
         source = Path(generator.generate(f"{scratch}/"))
-        library = FOLDER.resolve() / f"{hashlib.sha256(source.read_bytes()).hexdigest()[:24]}.so"
+        folder = cache_folder().with_name("samples")
+        library = folder / f"{hashlib.sha256(source.read_bytes()).hexdigest()[:24]}{PLATFORMS[platform].suffix}"
         if not library.is_file():
-            FOLDER.mkdir(parents=True, exist_ok=True)
-            made = library.with_suffix(".new")
-            compile_c([source], made, "-O1", "-w", "-fvisibility=default", "-shared", "-lm")
-            made.replace(library)
+            folder.mkdir(parents=True, exist_ok=True)
+            made = compile_library("sample", Path(scratch), platform, flags=("-O1", "-w", "-fvisibility=default"))
+            with whole(library) as unfinished:
+                unfinished.write_bytes(made)
     return library

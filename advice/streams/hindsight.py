@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from benchmarks.streams.streams import Stream, slopes_of
+from advice.streams.streams import Stream, slopes_of
 from observers.instance import Instance
 
 SAMPLES = 20  # of a fit
