@@ -17,7 +17,7 @@ from fmu_src.native.compiler import cache_folder, compile_library
 from fmu_src.platforms import PLATFORMS, resolve
 from observers.component import Component
 
-Sample = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+Sample = Callable[..., tuple[np.ndarray, np.ndarray]]  # (z, u, p, t) -> (z, y)
 
 
 def sampled(component: Component, sample_time: float) -> Sample:

@@ -1,0 +1,151 @@
+"""Observers on the same noisy streams: clean ones, for errors and what they say of them, and ones corrupted as the board corrupts them.
+
+An error counts once a stream is `settled`. Wrong is an estimate, of any observer, that is farther from the truth than 5 % of the truth's
+rms and twice the largest error of the best observer on clean streams (`streams.verdicts`). So one that is silently off where others are
+right is found on clean streams too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from advice.candidates import Candidate
+from advice.streams.corruptions import CLEAN, CORRUPTIONS
+from advice.streams.native import Sample, sampled
+from advice.streams.streams import Streams
+from advice.streams.verdicts import Record, Tried, judge, limits, run
+from observers.model import Model, Variable
+
+FAULTS = ("outlier", "offset", "drift", "stuck", "jump", "mismatch")
+WITHIN = 0.95  # of the samples that are left: from there on a stream is settled
+SIGMAS = 2.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of an observer.
+
+    `errors`: rms by state and unknown parameter, in its unit; `total`: of all, in nominal values; `coverage`: part of the errors within
+    two of the standard deviations that it states, None where it states none; `settling` [s]: median time until nearly all estimates
+    that follow are right, None where they never are; `settled`: on how many clean streams they are; `per_sample` [s]; `wrong`: estimates,
+    `silent`: the part of them that was trusted though no other motion explains it; `ended`: the error that ended a run, or empty.
+    """
+
+    candidate: Candidate
+    errors: Mapping[str, float]
+    total: float
+    coverage: float | None
+    settling: float | None
+    settled: int
+    per_sample: float
+    wrong: int
+    silent: float
+    ended: str
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """An observer over the clean streams."""
+
+    candidate: Candidate
+    tried: Tried
+    names: tuple[str, ...]
+    records: Sequence[Record]
+    limit: np.ndarray
+    per_sample: float
+
+
+def trial(
+    model: Model,
+    candidates: Sequence[Candidate],
+    streams: Mapping[int, Streams],
+    corrupted: Sequence[int],
+    progress: Callable[[str], None] = lambda name: None,
+) -> list[Outcome]:
+    """An outcome for each candidate; `streams` by seed, of which those in `corrupted` are tried with FAULTS too."""
+    runs = []
+    for candidate in candidates:
+        progress(f"{candidate.method}: clean streams")
+        runs.append(_clean(candidate, streams))
+    best = np.min([r.limit for r in runs], axis=0)
+    outcomes = []
+    for r in runs:
+        progress(f"{r.candidate.method}: faults")
+        outcomes.append(_outcome(model, r, best, streams, corrupted))
+    return outcomes
+
+
+def _clean(candidate: Candidate, streams: Mapping[int, Streams]) -> _Runs:
+    scenario = next(iter(streams.values())).scenario
+    clock = _Clock(sampled(candidate.component, scenario.sample_time))
+    tried = Tried(candidate.component, {}, clock)
+    records = [run(tried, made.stream(CLEAN, seed)) for seed, made in streams.items()]
+    limit = np.max([limits(tried, made, [seed])[0] for seed, made in streams.items()], axis=0)
+    return _Runs(candidate, tried, tuple(records[0].estimates), records, limit, clock.median)
+
+
+class _Clock:
+    """A sample function that keeps how long its calls took."""
+
+    def __init__(self, sample: Sample):
+        self._sample, self._taken = sample, [0.0]
+
+    def __call__(self, *values: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        begin = time.perf_counter()
+        result = self._sample(*values)
+        self._taken.append(time.perf_counter() - begin)
+        return result
+
+    @property
+    def median(self) -> float:
+        """[s]"""
+        return float(np.median(self._taken))
+
+
+def _outcome(
+    model: Model, r: _Runs, limit: np.ndarray, streams: Mapping[int, Streams], corrupted: Sequence[int]
+) -> Outcome:
+    scenario = next(iter(streams.values())).scenario
+    start = scenario.settled
+    gaps = np.concatenate([record.errors[start:] for record in r.records])
+    rms = np.sqrt(np.mean(np.where(np.isfinite(gaps), gaps, np.inf) ** 2, axis=0))
+    errors = dict(zip(r.names, map(float, rms), strict=True))
+    stated = np.concatenate([record.deviations[start:] for record in r.records])
+    known = np.isfinite(stated)
+    covered = np.abs(gaps[known]) <= SIGMAS * stated[known]
+    begun = [_settling(record.errors, limit) for record in r.records]
+    found = [k for k in begun if k is not None]
+    chosen = [(CLEAN, seed) for seed in streams] + [
+        (c, seed) for c in CORRUPTIONS if c.name in FAULTS for seed in corrupted if streams[seed].scenario.allows(c)
+    ]
+    verdicts = [judge(r.tried, streams[seed].stream(c, seed), limit) for c, seed in chosen]
+    wrong, silent = sum(v.wrong for v in verdicts), sum(v.silent for v in verdicts)
+    return Outcome(
+        r.candidate,
+        errors,
+        in_nominal(errors, (*model.states, *model.algebraic, *model.unknown_parameters)),
+        float(np.mean(covered)) if known.any() else None,
+        float(np.median(found)) * scenario.sample_time if found else None,
+        len(found),
+        r.per_sample,
+        wrong,
+        silent / wrong if wrong else 0.0,
+        next((v.ended for v in verdicts if v.ended), ""),
+    )
+
+
+def in_nominal(errors: Mapping[str, float], variables: Sequence[Variable]) -> float:
+    """The rms of errors by name, in nominal values."""
+    return float(np.sqrt(np.mean([(errors[v.name] / v.nominal) ** 2 for v in variables if v.name in errors])))
+
+
+def _settling(errors: np.ndarray, limit: np.ndarray) -> int | None:
+    """The first sample from which nearly all estimates are within the limit, None where that is late in the stream."""
+    right = (np.abs(errors) <= limit).all(axis=1)
+    left = np.cumsum(right[::-1])[::-1] / np.arange(len(right), 0, -1)
+    enough = np.flatnonzero(right & (left >= WITHIN))
+    return int(enough[0]) if enough.size and enough[0] <= len(right) // 2 else None
