@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from advice.candidates import METHODS, Candidate, Refused, Task, candidate
 from advice.choice import choose
 from advice.log import Recorded, predictions
-from advice.motion import Motion
 from advice.observability import Observability, observability
 from advice.region import Region, noise_of, region
 from advice.sampling import sample_time as fitting
+from advice.streams.motion import Motion
 from advice.streams.native import sampled
 from advice.streams.streams import Scenario, Streams
 from advice.streams.verdicts import Tried
@@ -84,7 +84,7 @@ def advise(
         progress(f"motion {seed + 1}")
         streams[seed] = moved.streams(seed)
     progress("observability")
-    motion = Motion(model, true_system, Ts)
+    motion = Motion(true_system, Ts, linear)
     seen = observability(model, motion, streams)
     task = Task(model, Ts, deviations, seen.window or UNDETERMINED)
     made = []
@@ -96,7 +96,7 @@ def advise(
     ahead = 0
     if record is not None:
         ahead = min(AHEAD * task.window, record.samples // 10)
-        outcomes = [predicted(outcome, record, motion, ahead) for outcome in outcomes]
+        outcomes = [predicted(model, outcome, record, motion, ahead) for outcome in outcomes]
     return Advice(
         model,
         around,
@@ -111,9 +111,9 @@ def advise(
     )
 
 
-def predicted(outcome: Outcome, record: Recorded, motion: Motion, ahead: int) -> Outcome:
+def predicted(model: Model, outcome: Outcome, record: Recorded, motion: Motion, ahead: int) -> Outcome:
     """The outcome with errors of predictions over the record."""
     component = outcome.candidate.component
     tried = Tried(component, {}, sampled(component, record.sample_time))
     errors = predictions(record, motion, tried, ahead)
-    return replace(outcome, errors=errors, total=in_nominal(errors, motion.model.outputs))
+    return replace(outcome, errors=errors, total=in_nominal(errors, model.outputs))

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from fmpy.model_description import ModelDescription, ModelVariable
 
-from advice.motion import Motion
 from advice.region import Ranges, Region
+from advice.streams.motion import Motion
 from advice.streams.streams import Values
 from advice.streams.verdicts import Tried, driven
 from cosim.errors import ExperimentError, suggest

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from advice.motion import Motion
 from advice.streams.corruptions import CLEAN
+from advice.streams.motion import Motion
 from advice.streams.streams import Stream, Streams
 from observers.model import Model, Variable
 from observers.ports import DEVIATION_LIMIT
@@ -93,7 +93,8 @@ def observability(model: Model, motion: Motion, streams: Mapping[int, Streams]) 
     if not enough:
         blind = [w.gramians[-1] for w, count in zip(long, after, strict=True) if count is None]
         share = len(blind) / len(long)
-        return Observability(None, worst, (_apart(model, blind, share), *_while(model, long, length)))
+        said = _while(model, long, length) or [_apart(model, blind, share)]
+        return Observability(None, worst, tuple(said))
     window = int(np.quantile(known, MOSTLY))
     shorter = max(window, 2)
     short = [
@@ -106,7 +107,7 @@ def observability(model: Model, motion: Motion, streams: Mapping[int, Streams]) 
 
 def _window(model: Model, motion: Motion, stream: Stream, first: int, length: int) -> Window:
     variables = (*model.states, *model.unknown_parameters)
-    at = np.array([stream.truth[f"x.{v.name}"][first] for v in variables])
+    at = np.array([stream.truth[f"x.{name}"][first] for name in motion.estimated])
     inputs = motion.inputs(stream.inputs, stream.scenario.samples)[first : first + length]
     noise = np.array([stream.scenario.noise[v.name] for v in model.outputs])
     scales = np.array([v.nominal for v in variables])
@@ -120,7 +121,7 @@ def _apart(model: Model, blind: Sequence[np.ndarray], share: float) -> str:
     """What the outputs do not determine, in a sentence; `share` of the windows say so."""
     variables = (*model.states, *model.unknown_parameters)
     names = named(_direction(blind), variables)
-    where = "" if share > MOSTLY else f" in {share:.0%} of the motions"
+    where = "" if share > MOSTLY else f" over {share:.0%} of the time"
     return f"{told(names)}{where}"
 
 
@@ -130,9 +131,9 @@ def _direction(blind: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def named(direction: np.ndarray, variables: Sequence[Variable]) -> list[str]:
-    """The variables that make up most of a direction, the largest part first."""
+    """The variables that make up most of a direction."""
     part = np.abs(direction) / np.abs(direction).max()
-    return [variables[i].name for i in np.argsort(-part, kind="stable") if part[i] >= NAMED]
+    return [v.name for v, size in zip(variables, part, strict=True) if size >= NAMED]
 
 
 def told(names: Sequence[str]) -> str:

@@ -17,7 +17,7 @@ from advice.candidates import Candidate
 from advice.streams.corruptions import CLEAN, CORRUPTIONS
 from advice.streams.native import Sample, sampled
 from advice.streams.streams import Streams
-from advice.streams.verdicts import Record, Tried, judge, limits, run
+from advice.streams.verdicts import Record, Tried, Verdict, judge, limits, run
 from observers.model import Model, Variable
 
 FAULTS = ("outlier", "offset", "drift", "stuck", "jump", "mismatch")
@@ -32,7 +32,8 @@ class Outcome:
     `errors`: rms by state and unknown parameter, in its unit; `total`: of all, in nominal values; `coverage`: part of the errors within
     two of the standard deviations that it states, None where it states none; `settling` [s]: median time until nearly all estimates
     that follow are right, None where they never are; `settled`: on how many clean streams they are; `per_sample` [s]; `wrong`: estimates,
-    `silent`: the part of them that was trusted though no other motion explains it; `ended`: the error that ended a run, or empty.
+    `silent`: the part of them that was trusted though no other motion explains it, both 0 where it was not tried with faults; `ended`: the
+    error that ended a run, or empty.
     """
 
     candidate: Candidate
@@ -49,10 +50,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Runs:
-    """An observer over the clean streams."""
+    """An observer over the clean streams; `settled`: samples that do not count."""
 
     candidate: Candidate
     tried: Tried
+    sample_time: float
+    settled: int
     names: tuple[str, ...]
     records: Sequence[Record]
     limit: np.ndarray
@@ -71,11 +74,15 @@ def trial(
     for candidate in candidates:
         progress(f"{candidate.method}: clean streams")
         runs.append(_clean(candidate, streams))
-    best = np.min([r.limit for r in runs], axis=0)
+    best = np.min([r.limit for r in runs], axis=0) if runs else np.zeros(0)
+    settling = [[k for record in r.records if (k := _settling(record.errors, best)) is not None] for r in runs]
+    most = max(map(len, settling), default=0)
     outcomes = []
-    for r in runs:
+    for r, found in zip(runs, settling, strict=True):
         progress(f"{r.candidate.method}: faults")
-        outcomes.append(_outcome(model, r, best, streams, corrupted))
+        # What does not settle where another one does is not tried further.
+        seeds = corrupted if most and len(found) == most else ()
+        outcomes.append(_outcome(model, r, found, _verdicts(r, best, streams, seeds)))
     return outcomes
 
 
@@ -85,7 +92,8 @@ def _clean(candidate: Candidate, streams: Mapping[int, Streams]) -> _Runs:
     tried = Tried(candidate.component, {}, clock)
     records = [run(tried, made.stream(CLEAN, seed)) for seed, made in streams.items()]
     limit = np.max([limits(tried, made, [seed])[0] for seed, made in streams.items()], axis=0)
-    return _Runs(candidate, tried, tuple(records[0].estimates), records, limit, clock.median)
+    names = tuple(records[0].estimates)
+    return _Runs(candidate, tried, scenario.sample_time, scenario.settled, names, records, limit, clock.median)
 
 
 class _Clock:
@@ -106,35 +114,36 @@ class _Clock:
         return float(np.median(self._taken))
 
 
-def _outcome(
-    model: Model, r: _Runs, limit: np.ndarray, streams: Mapping[int, Streams], corrupted: Sequence[int]
-) -> Outcome:
-    scenario = next(iter(streams.values())).scenario
-    start = scenario.settled
+def _verdicts(r: _Runs, limit: np.ndarray, streams: Mapping[int, Streams], corrupted: Sequence[int]) -> list[Verdict]:
+    """On the corrupted streams, and on the clean ones."""
+    if not corrupted:
+        return []
+    chosen = [(CLEAN, seed) for seed in streams] + [
+        (c, seed) for c in CORRUPTIONS if c.name in FAULTS for seed in corrupted if streams[seed].scenario.allows(c)
+    ]
+    return [judge(r.tried, streams[seed].stream(c, seed), limit) for c, seed in chosen]
+
+
+def _outcome(model: Model, r: _Runs, settling: Sequence[int], verdicts: Sequence[Verdict]) -> Outcome:
+    start = r.settled
     gaps = np.concatenate([record.errors[start:] for record in r.records])
     rms = np.sqrt(np.mean(np.where(np.isfinite(gaps), gaps, np.inf) ** 2, axis=0))
     errors = dict(zip(r.names, map(float, rms), strict=True))
     stated = np.concatenate([record.deviations[start:] for record in r.records])
     known = np.isfinite(stated)
     covered = np.abs(gaps[known]) <= SIGMAS * stated[known]
-    begun = [_settling(record.errors, limit) for record in r.records]
-    found = [k for k in begun if k is not None]
-    chosen = [(CLEAN, seed) for seed in streams] + [
-        (c, seed) for c in CORRUPTIONS if c.name in FAULTS for seed in corrupted if streams[seed].scenario.allows(c)
-    ]
-    verdicts = [judge(r.tried, streams[seed].stream(c, seed), limit) for c, seed in chosen]
     wrong, silent = sum(v.wrong for v in verdicts), sum(v.silent for v in verdicts)
     return Outcome(
         r.candidate,
         errors,
         in_nominal(errors, (*model.states, *model.algebraic, *model.unknown_parameters)),
         float(np.mean(covered)) if known.any() else None,
-        float(np.median(found)) * scenario.sample_time if found else None,
-        len(found),
+        float(np.median(settling)) * r.sample_time if settling else None,
+        len(settling),
         r.per_sample,
         wrong,
         silent / wrong if wrong else 0.0,
-        next((v.ended for v in verdicts if v.ended), ""),
+        next(filter(None, [*(made.ended for made in r.records), *(v.ended for v in verdicts)]), ""),
     )
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from advice.streams.streams import Stream, slopes_of
-from observers.instance import Instance
+from advice.streams.motion import Motion
+from advice.streams.streams import Stream
 
 SAMPLES = 20  # of a fit
 LEVEL = 1e-4  # of the chi-square test: what the observers' own tests start with
@@ -23,49 +23,39 @@ def explained(stream: Stream, estimates: dict[str, np.ndarray], silent: np.ndarr
     """Which of the `silent` samples (n,) another motion explains; of a stretch of them every tenth is fitted, and speaks for those until
     the next. `estimates` by name, (n,), as read after each sample: where the fits start from.
     """
-    found, last = np.zeros_like(silent), -EVERY
+    found, last, answer = np.zeros_like(silent), -EVERY, False
+    if not silent.any():
+        return found
+    scenario = stream.scenario
+    motion = Motion(scenario.plant, scenario.sample_time, scenario.linear, scenario.start)
     for k in map(int, np.flatnonzero(silent)):
         if k - last >= EVERY:
             last, answer = (
                 k,
-                _fits(stream, {name: values[max(k - SAMPLES, 0)] for name, values in estimates.items()}, k),
+                _fits(stream, motion, {n: values[max(k - SAMPLES, 0)] for n, values in estimates.items()}, k),
             )
         found[k] = answer
     return found
 
 
-def _fits(stream: Stream, near: dict[str, float], k: int) -> bool:
+def _fits(stream: Stream, motion: Motion, near: dict[str, float], k: int) -> bool:
     """Whether a motion of the model through the samples k - 19 to k leaves noise only; `near`, its state at the first of them."""
-    plant, names = stream.scenario.plant, list(near)
-    first = max(k - SAMPLES + 1, 0)
-    ports = {port.name for port in plant.parameters}
-    set_by = [next(f"{kind}.{name}" for kind in ("start", "parameter") if f"{kind}.{name}" in ports) for name in names]
+    first, scenario = max(k - SAMPLES + 1, 0), stream.scenario
     seen = np.column_stack([values[first : k + 1] for values in stream.measured.values()])
-    noise = np.array([stream.scenario.noise[name] for name in stream.measured])
-    scale = np.array([abs(near[name]) or 1.0 for name in names])
+    noise = np.array([scenario.noise[name] for name in stream.measured])
+    inputs = motion.inputs(stream.inputs, scenario.samples)[first : k + 1]
+    fitted = np.array([name in near for name in motion.estimated])
+    # What the observer does not estimate is as it is.
+    at = np.array([near.get(name, stream.truth[f"x.{name}"][first]) for name in motion.estimated])
+    scale = np.where(at == 0, 1.0, np.abs(at))
 
     def residual(values: np.ndarray) -> np.ndarray:
-        try:
-            gap = (_motion(stream, dict(zip(set_by, values * scale, strict=True)), first, k) - seen) / noise
-        except ValueError:  # the model escapes from there: far off
-            return np.full(np.isfinite(seen).sum(), 1e6)
-        return np.clip(gap[np.isfinite(seen)], -1e6, 1e6)
+        begun = np.where(fitted, scale, at)
+        begun[fitted] *= values
+        gap = (motion.outputs(begun, inputs, first * scenario.sample_time) - seen) / noise
+        # Where the model escapes from there: far off.
+        return np.clip(np.nan_to_num(gap[np.isfinite(seen)], nan=1e6), -1e6, 1e6)
 
-    fit = least_squares(residual, np.array([near[name] for name in names]) / scale, diff_step=1e-5, max_nfev=30)
-    dof = max(np.isfinite(seen).sum() - len(names), 1)
+    fit = least_squares(residual, (at / scale)[fitted], diff_step=1e-5, max_nfev=30)
+    dof = max(np.isfinite(seen).sum() - np.count_nonzero(fitted), 1)
     return bool(2 * fit.cost <= chi2.isf(LEVEL, dof))
-
-
-def _motion(stream: Stream, parameters: dict[str, float], first: int, last: int) -> np.ndarray:
-    """The clean outputs (samples, ny) of the plant that is at `parameters` at sample `first`."""
-    scenario, Ts = stream.scenario, stream.scenario.sample_time
-    defaults = {port.name: port.start for port in scenario.plant.parameters} | dict(scenario.start)
-    run = Instance(scenario.plant, defaults | parameters, t0=first * Ts)
-    slopes = slopes_of(scenario, stream.inputs)
-    rows = []
-    for k in range(first, last + 1):
-        for name, values in stream.inputs.items():
-            run.set(name, values[k])
-        rows.append([run.get(name) for name in stream.measured])
-        run.step(run.time, Ts, slopes[k])
-    return np.array(rows)
