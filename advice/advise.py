@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from advice.candidates import METHODS, Candidate, Refused, Task, candidate
 from advice.choice import choose
 from advice.log import Recorded, predictions
@@ -20,7 +22,7 @@ from advice.trial import Outcome, in_nominal, trial
 from observers.model import Model
 from reference_models.plant import plant
 
-MOTIONS = 4
+MOTIONS = 6
 CORRUPTED = (0, 1)  # the motions that are corrupted too: one driven by steps, one by sines
 SAMPLES = 300  # of a motion
 UNDETERMINED = 30  # samples of a window where none determines everything
@@ -49,6 +51,7 @@ class Advice:
     ahead: int
 
 
+@np.errstate(all="ignore")  # an observer that runs away is judged; nobody is warned of it
 def advise(
     model: Model,
     *,

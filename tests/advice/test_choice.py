@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from advice.advise import STAGES, advise
+from advice.advise import MOTIONS, STAGES, advise
 from advice.candidates import METHODS, Candidate, Refused, Task, candidate
 from advice.choice import choose, unfit
 from advice.region import AdviceError
@@ -55,7 +55,7 @@ def kalman_error() -> float:
 def test_on_a_linear_model_the_choice_is_as_good_as_the_kalman_filter(advice) -> None:
     assert advice.choice.total <= 1.3 * kalman_error()
     assert advice.choice.silent <= 0.05
-    assert advice.choice.settled == 4
+    assert advice.choice.settled == MOTIONS
 
 
 @pytest.mark.long

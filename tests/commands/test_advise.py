@@ -105,3 +105,11 @@ def test_a_mistake_is_one_line_and_status_2(tank: Path, text: str | None, argume
     Path("short.csv").write_text("time,y,inflow\n0,1,1\n1,1,1\n")
     Path("other.csv").write_text("time,y,inflows\n0,1,1\n1,1,1\n")
     assert message in refused(observer_fmus("advise", tank, *arguments))
+
+
+def test_ctrl_c_is_one_line(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("advice.advise.advise", interrupted)
+    assert "stopped; there is no advice yet" in refused(observer_fmus("advise", tank), 130)
