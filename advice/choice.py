@@ -1,4 +1,8 @@
-"""Which of the observers that were tried to take: the least error among those that settle, and are not wrong in silence."""
+"""Which of the observers that were tried to take: of those that settle and are not wrong in silence, one that is nowhere far from the best.
+
+That is looked at on clean streams and, where an unknown parameter can jump, a while after it has: an observer that hardly lets a parameter
+wander is the best of all until it does.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ import numpy as np
 from advice.trial import Outcome
 
 SILENT = 0.05  # of the wrong estimates: more is too many
-TIE = 1.03  # times the least error: the cheaper of these is taken
+TIE = 1.03  # times the smallest regret: the cheapest of these is taken
 
 
 def choose(outcomes: Sequence[Outcome]) -> Outcome | None:
@@ -17,15 +21,25 @@ def choose(outcomes: Sequence[Outcome]) -> Outcome | None:
     able = [o for o in outcomes if not unfit(o, outcomes)]
     if not able:
         return None
-    least = min(o.total for o in able)
-    return min((o for o in able if o.total <= TIE * least), key=lambda o: o.per_sample)
+    regrets = [_regret(o, able) for o in able]
+    near = [o for o, regret in zip(able, regrets, strict=True) if regret <= TIE * min(regrets)]
+    return min(near, key=lambda o: o.per_sample)
+
+
+def _regret(outcome: Outcome, among: Sequence[Outcome]) -> float:
+    """By which factor an error is larger than the least one: on clean streams or after a jump, whichever is more."""
+    factors = [outcome.total / min(o.total for o in among)]
+    after = [o.after_jump for o in among if o.after_jump is not None]
+    if outcome.after_jump is not None:
+        factors.append(outcome.after_jump / min(after))
+    return max(factors)
 
 
 def unfit(outcome: Outcome, among: Sequence[Outcome]) -> str:
     """Why an observer cannot be chosen; empty if it can."""
     if outcome.ended:
         return f"a run ended: {outcome.ended}"
-    if not np.isfinite(outcome.total):
+    if not np.isfinite([outcome.total, outcome.after_jump or 0.0]).all():
         return "its estimates are not finite"
     if outcome.settled == 0 or outcome.settled < max(o.settled for o in among):
         return "it does not settle on every motion"

@@ -21,6 +21,7 @@ from advice.streams.verdicts import Record, Tried, Verdict, judge, limits, run
 from observers.model import Model, Variable
 
 FAULTS = ("outlier", "offset", "drift", "stuck", "jump", "mismatch")
+JUMP = next(c for c in CORRUPTIONS if c.name == "jump")
 WITHIN = 0.95  # of the samples that are left: from there on a stream is settled
 SIGMAS = 2.0
 
@@ -29,7 +30,8 @@ SIGMAS = 2.0
 class Outcome:
     """What became of an observer.
 
-    `errors`: rms by state and unknown parameter, in its unit; `total`: of all, in nominal values; `coverage`: part of the errors within
+    `errors`: rms by state and unknown parameter, in its unit; `total`: of all, in nominal values; `after_jump`: the same a while after an
+    unknown parameter has jumped, None where none does or the observer was not tried with faults; `coverage`: part of the errors within
     two of the standard deviations that it states, None where it states none; `settling` [s]: median time until nearly all estimates
     that follow are right, None where they never are; `settled`: on how many clean streams they are; `per_sample` [s]; `wrong`: estimates,
     `silent`: the part of them that was trusted though no other motion explains it, both 0 where it was not tried with faults; `ended`: the
@@ -39,6 +41,7 @@ class Outcome:
     candidate: Candidate
     errors: Mapping[str, float]
     total: float
+    after_jump: float | None
     coverage: float | None
     settling: float | None
     settled: int
@@ -82,7 +85,8 @@ def trial(
         progress(f"{r.candidate.method}: faults")
         # What does not settle where another one does is not tried further.
         seeds = corrupted if most and len(found) == most else ()
-        outcomes.append(_outcome(model, r, found, _verdicts(r, best, streams, seeds)))
+        after_jump = _after_jump(model, r, streams, seeds)
+        outcomes.append(_outcome(model, r, found, after_jump, _verdicts(r, best, streams, seeds)))
     return outcomes
 
 
@@ -124,11 +128,32 @@ def _verdicts(r: _Runs, limit: np.ndarray, streams: Mapping[int, Streams], corru
     return [judge(r.tried, streams[seed].stream(c, seed), limit) for c, seed in chosen]
 
 
-def _outcome(model: Model, r: _Runs, settling: Sequence[int], verdicts: Sequence[Verdict]) -> Outcome:
+def _after_jump(model: Model, r: _Runs, streams: Mapping[int, Streams], corrupted: Sequence[int]) -> float | None:
+    """The rms of all errors in nominal values, from a fifth of the stream after the jump on; None where no parameter jumps."""
+    able = [seed for seed in corrupted if streams[seed].scenario.allows(JUMP)]
+    if not able:
+        return None
+    ends = [
+        run(r.tried, streams[seed].stream(JUMP, seed)).errors[streams[seed].scenario.during.stop :] for seed in able
+    ]
+    return in_nominal(_rms(r, np.concatenate(ends)), _estimated(model))
+
+
+def _rms(r: _Runs, errors: np.ndarray) -> dict[str, float]:
+    rms = np.sqrt(np.mean(np.where(np.isfinite(errors), errors, np.inf) ** 2, axis=0))
+    return dict(zip(r.names, map(float, rms), strict=True))
+
+
+def _estimated(model: Model) -> tuple[Variable, ...]:
+    return (*model.states, *model.algebraic, *model.unknown_parameters)
+
+
+def _outcome(
+    model: Model, r: _Runs, settling: Sequence[int], after_jump: float | None, verdicts: Sequence[Verdict]
+) -> Outcome:
     start = r.settled
     gaps = np.concatenate([record.errors[start:] for record in r.records])
-    rms = np.sqrt(np.mean(np.where(np.isfinite(gaps), gaps, np.inf) ** 2, axis=0))
-    errors = dict(zip(r.names, map(float, rms), strict=True))
+    errors = _rms(r, gaps)
     stated = np.concatenate([record.deviations[start:] for record in r.records])
     known = np.isfinite(stated)
     covered = np.abs(gaps[known]) <= SIGMAS * stated[known]
@@ -136,7 +161,8 @@ def _outcome(model: Model, r: _Runs, settling: Sequence[int], verdicts: Sequence
     return Outcome(
         r.candidate,
         errors,
-        in_nominal(errors, (*model.states, *model.algebraic, *model.unknown_parameters)),
+        in_nominal(errors, _estimated(model)),
+        after_jump,
         float(np.mean(covered)) if known.any() else None,
         float(np.median(settling)) * r.sample_time if settling else None,
         len(settling),

@@ -197,7 +197,7 @@ def _table(made: Advice) -> Table:
         table.add_column(
             f"{what}{name}" + ("" if unit[name] == "1" else f" [{unit[name]}]").replace("[", "\\["), justify="right"
         )
-    for head in ("within\n2 std", "settling", "per\nsample", "silent"):
+    for head in ("after\njump", "within\n2 std", "settling", "per\nsample", "silent"):
         table.add_column(head, justify="right", no_wrap=True)
     for outcome in made.outcomes:
         cells = [f"{outcome.errors[name]:.2g}" if name in outcome.errors else "-" for name in names]
@@ -208,6 +208,7 @@ def _table(made: Advice) -> Table:
 
 def _worth(outcome: Outcome) -> list[str]:
     return [
+        f"{outcome.after_jump:.2g}" if outcome.after_jump is not None else "-",
         f"{outcome.coverage:.0%}" if outcome.coverage is not None else "-",
         f"{outcome.settling:.3g} s" if outcome.settling is not None else "never",
         f"{1e6 * outcome.per_sample:.0f} us",

@@ -97,7 +97,7 @@ def test_no_motion_within_the_bounds_is_one_message() -> None:
 
 
 def outcome(method: str, total: float, per_sample: float = 1e-5, **more) -> Outcome:
-    made = Outcome(None, {}, total, None, 1.0, 4, per_sample, 100, 0.0, "")  # type: ignore[arg-type]
+    made = Outcome(None, {}, total, None, None, 1.0, 4, per_sample, 100, 0.0, "")  # type: ignore[arg-type]
     return replace(made, candidate=method, **more)
 
 
@@ -109,6 +109,12 @@ def test_the_choice_is_the_least_error_that_is_not_silent_settles_and_ends() -> 
         assert unfit(bad, [good, bad]) and choose([good, bad]) is good
     assert choose([replace(good, silent=1.0)]) is None
     assert choose([]) is None
+
+
+def test_an_observer_that_is_lost_after_a_jump_is_not_the_choice() -> None:
+    stiff, alert = outcome("stiff", 1.0, after_jump=3.0), outcome("alert", 1.2, after_jump=1.0)
+    assert choose([stiff, alert]) is alert
+    assert choose([replace(stiff, after_jump=1.1), alert]) is not alert
 
 
 def test_of_equals_the_cheaper_is_taken() -> None:
