@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from build_fmus import namespace_of
-from commands.console import err, fail, split_assignments
+from commands.console import err, fail, say, split_assignments
 from cosim.errors import number, one_line
 from observers.component import Component
 from observers.model import Model
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from advice.trial import Outcome
 
 WIDE = 140  # columns of what is not read on a terminal
-UNTUNED = 0.1  # of an output's nominal value: a noise that nobody gave, in an observer's tuning
+UNTUNED = (0.1, 0.01, 0.001)  # of an output's nominal value: noises that nobody gave, by method
 TUNING = "tuning.measurement_noise."
 
 out = Console(width=None if sys.stdout.isatty() else WIDE, highlight=False)
@@ -75,9 +75,14 @@ def advise(
         fail(str(error), 2)
     except KeyboardInterrupt:
         fail("stopped", 130)
-    chosen = [_advise(file, *item, namespace, log, given, sample_time) for item in models.items()]
-    if not all(chosen):
-        raise typer.Exit(1)
+    others = set(given) & {v.name for model in models.values() for v in model.outputs}
+    codes = []
+    for variable, model in models.items():
+        own = {v.name for v in model.outputs}
+        told = {name: std for name, std in given.items() if name in own or name not in others}
+        codes.append(_advise(file, variable, model, _stated(model, namespace) | told, log, sample_time))
+    if any(codes):
+        raise typer.Exit(max(codes))
 
 
 def _models(file: Path, namespace: Mapping[str, Any]) -> dict[str, Model]:
@@ -102,12 +107,11 @@ def _advise(
     file: Path,
     variable: str,
     model: Model,
-    namespace: Mapping[str, Any],
+    noise: Mapping[str, float],
     log: Path | None,
-    given: Mapping[str, float],
     sample_time: float | None,
-) -> bool:
-    """Print the advice for one Model; whether there is a choice."""
+) -> int:
+    """Print the advice for one Model; 0 where there is a choice, 1 where there is none, 2 where nothing could be tried."""
     # Observers and compiler take a second to load: only this command waits for them.
     from advice.advise import STAGES
     from advice.advise import advise as perform
@@ -116,7 +120,6 @@ def _advise(
     from cosim.errors import ExperimentError
     from fmu_src import ExportError
 
-    noise = {**_stated(model, namespace), **given}
     columns = (
         TextColumn("{task.description:<34}"),
         BarColumn(),
@@ -134,10 +137,11 @@ def _advise(
                 record=record,
                 progress=lambda stage: bar.update(task, description=stage, advance=1),
             )
-    except (AdviceError, ExperimentError, ValueError) as error:
-        fail(str(error), 2)
     except (ExportError, OSError) as error:
         fail(str(error), 1)
+    except (AdviceError, ExperimentError, ValueError) as error:
+        say(str(error))
+        return 2
     except KeyboardInterrupt:
         fail("stopped; there is no advice yet", 130)
     for line in _facts(made, noise):
@@ -146,18 +150,18 @@ def _advise(
         out.print(_table(made))
     for line in (*_reasons(made), "", *_ending(made, file, variable), ""):
         out.print(Text(line), soft_wrap=True)
-    return made.choice is not None
+    return 0 if made.choice is not None else 1
 
 
 def _stated(model: Model, namespace: Mapping[str, Any]) -> dict[str, float]:
     """The noise that an observer of the model in the file was given."""
-    nominal = {f"{TUNING}{v.name}": UNTUNED * v.nominal for v in model.outputs}
+    untuned = {f"{TUNING}{v.name}": [part * v.nominal for part in UNTUNED] for v in model.outputs}
     return {
         port.name.removeprefix(TUNING): port.start
         for value in namespace.values()
         if isinstance(value, Component) and value.name.startswith(f"{model.name}_")
         for port in value.parameters
-        if port.start > 0 and port.start != nominal.get(port.name, port.start)
+        if port.name in untuned and port.start > 0 and port.start not in untuned[port.name]
     }
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from advice.region import AdviceError
 from observers.component import Component
+from observers.model import Model
 from verbs import observer_fmus, refused
 
 TANK = """
@@ -105,6 +107,40 @@ def test_a_mistake_is_one_line_and_status_2(tank: Path, text: str | None, argume
     Path("short.csv").write_text("time,y,inflow\n0,1,1\n1,1,1\n")
     Path("other.csv").write_text("time,y,inflows\n0,1,1\n1,1,1\n")
     assert message in refused(observer_fmus("advise", tank, *arguments))
+
+
+def test_the_noise_that_an_observer_in_the_file_was_given_is_taken(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = []
+
+    def keep(model: object, **given: object) -> None:
+        told.append(given["noise"])
+        raise AdviceError("enough")
+
+    monkeypatch.setattr("advice.advise.advise", keep)
+    for more, arguments in (
+        ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.03})", []),
+        ("ukf(TANK, sample_time=1.0)", []),
+        ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.03})", ["--noise", "y=0.2"]),
+    ):
+        tank.write_text(f"from observers.ukf import ukf\n{TANK}\nobserver = {more}\n")
+        assert "enough" in refused(observer_fmus("advise", tank, *arguments))
+    assert told == [{"y": 0.03}, {}, {"y": 0.2}]
+
+
+def test_each_model_of_a_file_is_advised_on_with_its_own_noise(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = []
+
+    def keep(model: Model, **given: object) -> None:
+        told.append((model.name, given["noise"]))
+        raise AdviceError(f"{model.name}: enough")
+
+    monkeypatch.setattr("advice.advise.advise", keep)
+    other = TANK.replace("TANK", "POND").replace('"tank"', '"pond"').replace('"y"', '"w"')
+    tank.write_text(TANK + other + "AGAIN = TANK\n")
+    done = observer_fmus("advise", tank, "--noise", "w=0.5")
+    assert done.exit_code == 2
+    assert told == [("tank", {}), ("pond", {"w": 0.5})]
+    assert done.stderr.split() == ["error:", "tank:", "enough", "error:", "pond:", "enough"]
 
 
 def test_ctrl_c_is_one_line(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
