@@ -1,7 +1,7 @@
-"""Which of the observers that were tried to take: of those that settle and are not wrong in silence, one that is nowhere far from the best.
+"""Which of the observers that were tried to take: of those that settle and are not wrong in silence, one that is near the best.
 
-That is looked at on clean streams and, where an unknown parameter can jump, a while after it has: an observer that hardly lets a parameter
-wander is the best of all until it does.
+That is looked at on clean streams first, then, among those that are near there, a while after an unknown parameter has jumped: an observer
+that hardly lets a parameter wander is the best of all until it does.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from advice.trial import Outcome
 
 SILENT = 0.05  # of the wrong estimates: more is too many
+NEAR = 1.25  # times the least error on clean streams: who has less is asked about jumps
 TIE = 1.03  # times the smallest regret: the cheapest of these is taken
 
 
@@ -21,9 +22,10 @@ def choose(outcomes: Sequence[Outcome]) -> Outcome | None:
     able = [o for o in outcomes if not unfit(o, outcomes)]
     if not able:
         return None
-    regrets = [_regret(o, able) for o in able]
-    near = [o for o, regret in zip(able, regrets, strict=True) if regret <= TIE * min(regrets)]
-    return min(near, key=lambda o: o.per_sample)
+    near = [o for o in able if o.total <= NEAR * min(other.total for other in able)]
+    regrets = [_regret(o, near) for o in near]
+    equals = [o for o, regret in zip(near, regrets, strict=True) if regret <= TIE * min(regrets)]
+    return min(equals, key=lambda o: o.per_sample)
 
 
 def _regret(outcome: Outcome, among: Sequence[Outcome]) -> float:

@@ -115,6 +115,7 @@ def test_an_observer_that_is_lost_after_a_jump_is_not_the_choice() -> None:
     stiff, alert = outcome("stiff", 1.0, after_jump=3.0), outcome("alert", 1.2, after_jump=1.0)
     assert choose([stiff, alert]) is alert
     assert choose([replace(stiff, after_jump=1.1), alert]) is not alert
+    assert choose([stiff, replace(alert, total=1.5)]) is stiff  # too far off until the parameter jumps
 
 
 def test_of_equals_the_cheaper_is_taken() -> None:
