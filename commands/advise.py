@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +17,7 @@ from rich.text import Text
 from build_fmus import namespace_of
 from commands.console import err, fail, say, split_assignments
 from cosim.errors import number, one_line
+from cosim.interrupts import interrupts_noticed
 from observers.component import Component
 from observers.model import Model
 
@@ -68,21 +69,32 @@ def advise(
     if sample_time is not None and not 1e-6 <= sample_time < 1e6:
         fail(f"--sample-time {sample_time:g} must be between 1e-06 and 1e+06", 2)
     try:
+        with interrupts_noticed() as check:
+            code = _advise_all(file, log, given, sample_time, check)
+    except KeyboardInterrupt:
+        fail("stopped; there is no advice yet", 130)
+    if code:
+        raise typer.Exit(code)
+
+
+def _advise_all(
+    file: Path, log: Path | None, given: Mapping[str, float], sample_time: float | None, check: Callable[[], None]
+) -> int:
+    """Print the advice for each Model of the file; the gravest of the codes."""
+    try:
         with err.status(Text(f"working out what {file} defines")):
             namespace = namespace_of(file)
             models = _models(file, namespace)
     except ValueError as error:
+        check()
         fail(str(error), 2)
-    except KeyboardInterrupt:
-        fail("stopped", 130)
     others = set(given) & {v.name for model in models.values() for v in model.outputs}
     codes = []
     for variable, model in models.items():
         own = {v.name for v in model.outputs}
         told = {name: std for name, std in given.items() if name in own or name not in others}
-        codes.append(_advise(file, variable, model, _stated(model, namespace) | told, log, sample_time))
-    if any(codes):
-        raise typer.Exit(max(codes))
+        codes.append(_advise(file, variable, model, _stated(model, namespace) | told, log, sample_time, check))
+    return max(codes)
 
 
 def _models(file: Path, namespace: Mapping[str, Any]) -> dict[str, Model]:
@@ -110,6 +122,7 @@ def _advise(
     noise: Mapping[str, float],
     log: Path | None,
     sample_time: float | None,
+    check: Callable[[], None],
 ) -> int:
     """Print the advice for one Model; 0 where there is a choice, 1 where there is none, 2 where nothing could be tried."""
     # Observers and compiler take a second to load: only this command waits for them.
@@ -130,20 +143,26 @@ def _advise(
         record = recorded(log, model, sample_time) if log is not None else None
         with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
             task = bar.add_task("", total=STAGES)
+
+            def told(stage: str) -> None:
+                check()
+                bar.update(task, description=stage, advance=1)
+
             made = perform(
                 model,
                 noise=noise,
                 sample_time=sample_time,
                 record=record,
-                progress=lambda stage: bar.update(task, description=stage, advance=1),
+                progress=told,
             )
     except (ExportError, OSError) as error:
+        check()
         fail(str(error), 1)
     except (AdviceError, ExperimentError, ValueError) as error:
+        check()
         say(str(error))
         return 2
-    except KeyboardInterrupt:
-        fail("stopped; there is no advice yet", 130)
+    check()
     for line in _facts(made, noise):
         out.print(Text(line), soft_wrap=True)
     if made.outcomes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -143,9 +144,15 @@ def test_each_model_of_a_file_is_advised_on_with_its_own_noise(tank: Path, monke
     assert done.stderr.split() == ["error:", "tank:", "enough", "error:", "pond:", "enough"]
 
 
-def test_ctrl_c_is_one_line(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("swallowed", [False, True], ids=["heard", "swallowed by a library"])
+def test_ctrl_c_is_one_line(tank: Path, monkeypatch: pytest.MonkeyPatch, swallowed: bool) -> None:
     def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            if not swallowed:
+                raise
+            raise ValueError("no overload fits") from None
 
     monkeypatch.setattr("advice.advise.advise", interrupted)
     assert "stopped; there is no advice yet" in refused(observer_fmus("advise", tank), 130)
