@@ -23,7 +23,7 @@ from observers.ports import DEVIATION_LIMIT
 
 STEP = 1e-3  # d, of a nominal value
 DETERMINED = DEVIATION_LIMIT.start  # nominal values: what an observer calls certain
-LONGEST = 3  # windows that a stream is cut into, of which each should determine all
+LONGEST = 3  # parts of a stream, each of which should determine everything
 NAMED = 0.1  # of a direction's largest entry: what is named of it
 STILL = 0.05  # of the largest range within a window: what moves less is constant
 MOSTLY = 0.9  # of the windows
@@ -77,6 +77,7 @@ def gramians(
         step = np.where(np.arange(len(at)) == i, STEP * scale, 0.0)
         ends.append(motion.outputs(at + step, inputs, t0) - motion.outputs(at - step, inputs, t0))
     S = np.stack(ends, axis=2) / (2 * STEP * noise[None, :, None])
+    S = np.nan_to_num(S, posinf=0.0, neginf=0.0)  # a step out of the equations' domain tells nothing
     return np.asarray(np.cumsum(np.einsum("kyi,kyj->kij", S, S), axis=0))
 
 
