@@ -26,6 +26,7 @@ from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from cosim.errors import suggest
 from cosim.fmu import Value
@@ -94,25 +95,11 @@ def choose(only: Sequence[str]) -> Build:
 def components_of(path: Path) -> dict[str, Source]:
     """The Components at module level of a Python file, by their names, each with the plant among them that drives it.
 
-    Modules beside the file can be imported in it, as when Python runs it.
-
     Raises:
         ValueError: the file is missing, fails, defines none, or defines two of one name.
     """
-    if not path.is_file():
-        raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'there is no such file'}")
-    beside = str(path.resolve().parent)
-    sys.path.insert(0, beside)
-    try:
-        namespace = runpy.run_path(str(path))
-    except (Exception, SystemExit) as error:  # a user's file can fail in any way; one line names it
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-        where = f"{path}, line {lines[-1]}" if lines else str(path)
-        raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
-    finally:
-        sys.path.remove(beside)
     found: dict[str, Component] = {}
-    for value in namespace.values():
+    for value in namespace_of(path).values():
         if isinstance(value, Component) and found.setdefault(value.name, value) is not value:
             raise ValueError(f"{path}: two Components are called '{value.name}', which names their FMU")
     if not found:
@@ -120,6 +107,26 @@ def components_of(path: Path) -> dict[str, Source]:
             f"{path} defines no Component at module level, such as observer = pseudospectral(model, sample_time=0.1)"
         )
     return {name: (_maker(component), _driver(component, found.values())) for name, component in found.items()}
+
+
+def namespace_of(path: Path) -> dict[str, Any]:
+    """What a Python file defines at module level, by name. Modules beside the file can be imported in it, as when Python runs it.
+
+    Raises:
+        ValueError: the file is missing, or fails.
+    """
+    if not path.is_file():
+        raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'there is no such file'}")
+    beside = str(path.resolve().parent)
+    sys.path.insert(0, beside)
+    try:
+        return runpy.run_path(str(path))
+    except (Exception, SystemExit) as error:  # a user's file can fail in any way; one line names it
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        where = f"{path}, line {lines[-1]}" if lines else str(path)
+        raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(beside)
 
 
 def build_of(path: Path) -> Build:

@@ -20,12 +20,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from advice.streams.corruptions import CORRUPTIONS, Corruption
+from advice.streams.native import sampled
+from advice.streams.streams import Streams
+from advice.streams.verdicts import Clean, Tried, Verdict, judge, limits
 from benchmarks.streams.catalogue import ENTRIES
-from benchmarks.streams.corruptions import CORRUPTIONS, Corruption
 from benchmarks.streams.entry import Entry
-from benchmarks.streams.native import sampled
-from benchmarks.streams.streams import Streams
-from benchmarks.streams.verdicts import Clean, Tried, Verdict, judge, limits
 
 SEEDS = 3
 COLUMNS = ("clean", "alarms", "wrong", "silent", "explained", "unflagged", "recovery", "lost", "ended")

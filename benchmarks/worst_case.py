@@ -23,13 +23,13 @@ from fmpy.fmi2 import fmi2Warning
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from advice.streams.corruptions import CLEAN, CORRUPTIONS
+from advice.streams.streams import Stream, Streams
 from benchmarks import callgrind
 from benchmarks.native import Experiment, Unpacked, build_driver, command, execute, unpack
 from benchmarks.python_master import begun
 from benchmarks.streams.catalogue import CATALOGUE
-from benchmarks.streams.corruptions import CLEAN, CORRUPTIONS
 from benchmarks.streams.entry import Entry
-from benchmarks.streams.streams import Stream, Streams
 from fmu_src import export
 from observers.component import Component
 

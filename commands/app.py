@@ -16,7 +16,7 @@ from commands.console import say
 from observers import __version__
 
 NAME = "observer-fmus"
-VERBS = ("new", "gallery", "build", "signal", "system", "run", "compare", "campaign", "replay", "tune", "check")
+VERBS = ("new", "gallery", "advise", "build", "signal", "system", "run", "compare", "campaign", "replay", "tune", "check")
 
 
 class _Verbs(TyperGroup):
@@ -88,7 +88,7 @@ def observer_fmus(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and end.")
     ] = False,
 ) -> None:
-    """Nonlinear state observers as FMI 2.0 co-simulation FMUs: build, couple, vary, replay and check them."""
+    """Nonlinear state observers as FMI 2.0 co-simulation FMUs: choose, build, couple, vary, replay and check them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from advice.streams.inputs import bands, waves
+from advice.streams.streams import Scenario, Values
 from benchmarks.streams import literature
-from benchmarks.streams.entry import Entry, bands, scenario, waves
-from benchmarks.streams.streams import Scenario, Values
+from benchmarks.streams.entry import Entry, scenario
 from build_fmus import FMUS
 from observers.least_squares import least_squares
 from observers.pseudospectral import pseudospectral

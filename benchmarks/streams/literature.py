@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.streams.entry import Entry, scenario, steps, waves
-from benchmarks.streams.streams import Scenario
+from advice.streams.inputs import steps, waves
+from advice.streams.streams import Scenario
+from benchmarks.streams.entry import Entry, scenario
 from observers.component import Component
 from observers.model import Model
 from observers.pseudospectral import pseudospectral

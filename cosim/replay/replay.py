@@ -160,7 +160,7 @@ def connected(
     _check_size(found, taken, description)
     made = signals(found, description, inputs, columns, rows)
     fed = {
-        name: _at_instants(values, taken.rows, measured(name, inputs) and inputs[name].type == "Real")
+        name: at_instants(values, taken.rows, measured(name, inputs) and inputs[name].type == "Real")
         for name, values in made.values.items()
     }
     system = System(
@@ -210,7 +210,7 @@ def _sample_time(description: ModelDescription, overrides: Mapping[str, Value]) 
     return found
 
 
-def _at_instants(recorded: np.ndarray, rows: np.ndarray, missing: bool) -> np.ndarray:
+def at_instants(recorded: np.ndarray, rows: np.ndarray, missing: bool) -> np.ndarray:
     """The values at the sample instants and one sample time after the last, (n + 1,); NaN at those without a row if `missing`."""
     taken = np.append(rows, -1)
     values = recorded[np.maximum.accumulate(taken)]  # the rows ascend: where there is none (-1), the last one

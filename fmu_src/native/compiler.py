@@ -38,8 +38,10 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "observer-fmus" / "zig"
 
 
-def compile_library(name: str, folder: Path, platform: str, libraries: Sequence[str] = ("-lm",)) -> bytes:
-    """The shared library made of all `*.c` in `folder`, linked with `libraries`, for a platform of PLATFORMS.
+def compile_library(
+    name: str, folder: Path, platform: str, libraries: Sequence[str] = ("-lm",), flags: Sequence[str] = ()
+) -> bytes:
+    """The shared library made of all `*.c` in `folder`, linked with `libraries`, for a platform of PLATFORMS; `flags` add to FLAGS.
 
     Raises:
         ExportError: the compiler is missing, does not start, was ended or refused; the message holds what it said first.
@@ -56,6 +58,7 @@ def compile_library(name: str, folder: Path, platform: str, libraries: Sequence[
         target.target,
         *FLAGS,
         *LINK,
+        *flags,
         *install_name,
         "-o",
         library,

@@ -8,13 +8,13 @@ import sys
 import numpy as np
 import pytest
 
+from advice.streams.corruptions import CLEAN, CORRUPTIONS, Corruption
+from advice.streams.hindsight import explained
+from advice.streams.native import sampled
+from advice.streams.streams import Streams
+from advice.streams.verdicts import Tried, judge, limits, run
 from benchmarks.streams.catalogue import DUFFING_SCENARIO, ENTRIES
-from benchmarks.streams.corruptions import CLEAN, CORRUPTIONS, Corruption
-from benchmarks.streams.hindsight import explained
 from benchmarks.streams.literature import MODELS
-from benchmarks.streams.native import sampled
-from benchmarks.streams.streams import Streams
-from benchmarks.streams.verdicts import Tried, judge, limits, run
 from observers.instance import Instance
 
 OBSERVER = "duffing_ukf"

@@ -12,20 +12,23 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.compiler import compile_c
+from cosim.whole import whole
+from fmu_src.native.compiler import cache_folder, compile_library
+from fmu_src.platforms import PLATFORMS, resolve
 from observers.component import Component
 
-FOLDER = Path("build") / "trust"
-Sample = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+Sample = Callable[..., tuple[np.ndarray, np.ndarray]]  # (z, u, p, t) -> (z, y)
 
 
-def sampled(component: Component, sample_time: float) -> Sample:
+def sampled(component: Component, sample_time: float, linear: bool = False) -> Sample:
     """(z, u, p, t) -> (z, y) after a step of one sample time [s] from the sample instant t.
+
+    `linear`: u holds the inputs, then by how much they change a second, and they follow that line.
 
     The same functions in the same order as `observers.instance.Instance` calls them, compiled: the interpreter takes 20 to 100 times as
     long.
     """
-    function = _one_function(component, sample_time)
+    function = _one_function(component, sample_time, linear)
     compiled = ca.external("sample", str(_library(function)))
     made: tuple[Any, Callable[[], None]] = compiled.buffer()
     buffer, evaluate = made
@@ -47,29 +50,37 @@ def sampled(component: Component, sample_time: float) -> Sample:
     return call
 
 
-def _one_function(component: Component, sample_time: float) -> ca.Function:
-    z, u = ca.MX.sym("z", component.n_z), ca.MX.sym("u", len(component.inputs))
+def _one_function(component: Component, sample_time: float, linear: bool) -> ca.Function:
+    n = len(component.inputs)
+    z, u = ca.MX.sym("z", component.n_z), ca.MX.sym("u", 2 * n if linear else n)
+    now, slope = (u[:n], u[n:]) if linear else (u, ca.DM.zeros(n))
     p, t = ca.MX.sym("p", len(component.parameters)), ca.MX.sym("t")
     substeps = max(1, math.ceil(sample_time / component.max_step - 1e-6))
     h, moved = sample_time / substeps, z
     if component.jump is not None:
-        moved = component.jump(z, u, p, t)
+        moved = component.jump(z, now, p, t)
     for i in range(substeps):
-        moved = component.flow(moved, u, p, t + i * h, h)
-    shown = component.output(moved, u, p, t + sample_time)
+        if not linear:
+            moved = component.flow(moved, now, p, t + i * h, h)
+            continue
+        for begin, held in ((0.0, h / 6), (h / 2, 5 * h / 6)):  # as an Instance treats inputs that change
+            moved = component.flow(moved, now + slope * (i * h + held), p, t + i * h + begin, h / 2)
+    shown = component.output(moved, now + slope * sample_time, p, t + sample_time)
     return ca.Function("sample", [z, u, p, t], [moved, shown])
 
 
 def _library(function: ca.Function) -> Path:
     """The compiled function; one whose C is known is not compiled again."""
+    platform = resolve(["host"])[0]
     with TemporaryDirectory() as scratch:
         generator = ca.CodeGenerator("sample.c")
         generator.add(function)
         source = Path(generator.generate(f"{scratch}/"))
-        library = FOLDER.resolve() / f"{hashlib.sha256(source.read_bytes()).hexdigest()[:24]}.so"
+        folder = cache_folder().with_name("samples")
+        library = folder / f"{hashlib.sha256(source.read_bytes()).hexdigest()[:24]}{PLATFORMS[platform].suffix}"
         if not library.is_file():
-            FOLDER.mkdir(parents=True, exist_ok=True)
-            made = library.with_suffix(".new")
-            compile_c([source], made, "-O1", "-w", "-fvisibility=default", "-shared", "-lm")
-            made.replace(library)
+            folder.mkdir(parents=True, exist_ok=True)
+            made = compile_library("sample", Path(scratch), platform, flags=("-O1", "-w", "-fvisibility=default"))
+            with whole(library) as unfinished:
+                unfinished.write_bytes(made)
     return library

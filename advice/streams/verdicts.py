@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.streams import hindsight
-from benchmarks.streams.corruptions import CLEAN, Corruption
-from benchmarks.streams.native import Sample
-from benchmarks.streams.streams import Stream, Streams
+from advice.streams import hindsight
+from advice.streams.corruptions import CLEAN, Corruption
+from advice.streams.native import Sample
+from advice.streams.streams import Stream, Streams
 from observers.component import Component
 from observers.instance import Instance
 
@@ -26,12 +26,13 @@ BRANCHES = ("x", "z")
 
 @dataclass(frozen=True)
 class Record:
-    """Estimates (n,) by name, their errors (n, estimated), whether each sample's was trusted (n,), and how the run ended: empty, or its
-    error. After an error the estimates are not finite, and not trusted.
+    """Estimates (n,) by name, their errors and standard deviations (n, estimated), not finite where the observer states none, whether each
+    sample's was trusted (n,), and how the run ended: empty, or its error. After an error the estimates are not finite, and not trusted.
     """
 
     estimates: dict[str, np.ndarray]
     errors: np.ndarray
+    deviations: np.ndarray
     trusted: np.ndarray
     ended: str
 
@@ -78,27 +79,36 @@ class Tried:
 
 def run(tried: Tried, stream: Stream) -> Record:
     """The observer over the stream."""
-    component, Ts, n = tried.component, stream.scenario.sample_time, stream.scenario.samples
-    names = [port.name for port in component.outputs]
-    compared = _compared(component, stream)
+    names = [port.name for port in tried.component.outputs]
+    compared = _compared(tried.component, stream)
     columns = [names.index(f"estimate.{name}") for name, _ in compared]
     trusted = names.index("diagnostics.trusted")
+    n = stream.scenario.samples
+    rows, ended = driven(tried, stream.measured | stream.inputs, n, stream.scenario.sample_time)
+    truth = np.column_stack([true[1:] for _, true in compared])
+    estimates = {name: rows[:, column] for (name, _), column in zip(compared, columns, strict=True)}
+    stated = [f"diagnostics.std.{name}" for name, _ in compared]
+    deviations = [rows[:, names.index(s)] if s in names else np.full(n, np.nan) for s in stated]
+    return Record(estimates, rows[:, columns] - truth, np.column_stack(deviations), rows[:, trusted] > 0.5, ended)
+
+
+def driven(tried: Tried, given: Mapping[str, np.ndarray], samples: int, sample_time: float) -> tuple[np.ndarray, str]:
+    """The observer's outputs after each sample (samples, outputs), not finite after an error, and that error, or nothing; `given`: its
+    inputs by name, those that are missing at their start values.
+    """
+    component = tried.component
     begun = Instance(component, tried.parameters)
-    given = stream.measured | stream.inputs
-    u = np.tile(begun.u, (n, 1))
+    u = np.tile(begun.u, (samples, 1))
     for i, port in enumerate(component.inputs):
         if port.name in given:
             u[:, i] = given[port.name]
-    rows, ended, z = np.full((n, len(names)), np.nan), "", begun.z
-    for k in range(n):
-        z, shown = tried.sample(z, u[k], begun.p, k * Ts)
+    rows, z = np.full((samples, len(component.outputs)), np.nan), begun.z
+    for k in range(samples):
+        z, shown = tried.sample(z, u[k], begun.p, k * sample_time)
         if not np.isfinite(z).all():  # what becomes fmi2Error
-            ended = f"the state is not finite after sample {k}"
-            break
+            return rows, f"the state is not finite after sample {k}"
         rows[k] = shown
-    truth = np.column_stack([true[1:] for _, true in compared])
-    estimates = {name: rows[:, column] for (name, _), column in zip(compared, columns, strict=True)}
-    return Record(estimates, rows[:, columns] - truth, rows[:, trusted] > 0.5, ended)
+    return rows, ""
 
 
 def _compared(component: Component, stream: Stream) -> list[tuple[str, np.ndarray]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.streams.corruptions import Corruption
+from advice.streams.corruptions import Corruption
 from observers.component import Component
 from observers.instance import Instance
 

@@ -1,0 +1,50 @@
+"""Which of the observers that were tried to take: of those that settle and are not wrong in silence, one that is near the best.
+
+That is looked at on clean streams first, then, among those that are near there, a while after an unknown parameter has jumped: an observer
+that hardly lets a parameter wander is the best of all until it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from advice.trial import Outcome
+
+SILENT = 0.05  # of the wrong estimates: more is too many
+NEAR = 1.25  # times the least error on clean streams: who has less is asked about jumps
+TIE = 1.03  # times the smallest regret: the cheapest of these is taken
+
+
+def choose(outcomes: Sequence[Outcome]) -> Outcome | None:
+    """The first choice, None where no observer is one."""
+    able = [o for o in outcomes if not unfit(o, outcomes)]
+    if not able:
+        return None
+    near = [o for o in able if o.total <= NEAR * min(other.total for other in able)]
+    regrets = [_regret(o, near) for o in near]
+    equals = [o for o, regret in zip(near, regrets, strict=True) if regret <= TIE * min(regrets)]
+    return min(equals, key=lambda o: o.per_sample)
+
+
+def _regret(outcome: Outcome, among: Sequence[Outcome]) -> float:
+    """By which factor an error is larger than the least one: on clean streams or after a jump, whichever is more."""
+    factors = [outcome.total / min(o.total for o in among)]
+    after = [o.after_jump for o in among if o.after_jump is not None]
+    if outcome.after_jump is not None:
+        factors.append(outcome.after_jump / min(after))
+    return max(factors)
+
+
+def unfit(outcome: Outcome, among: Sequence[Outcome]) -> str:
+    """Why an observer cannot be chosen; empty if it can."""
+    if outcome.ended:
+        return f"a run ended: {outcome.ended}"
+    if not np.isfinite([outcome.total, outcome.after_jump or 0.0]).all():
+        return "its estimates are not finite"
+    if outcome.settled == 0 or outcome.settled < max(o.settled for o in among):
+        return "it does not settle on every motion"
+    if outcome.silent > SILENT:
+        return f"{outcome.silent:.0%} of its wrong estimates are trusted"
+    return ""
