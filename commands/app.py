@@ -16,7 +16,20 @@ from commands.console import say
 from observers import __version__
 
 NAME = "observer-fmus"
-VERBS = ("new", "gallery", "advise", "build", "signal", "system", "run", "compare", "campaign", "replay", "tune", "check")
+VERBS = (
+    "new",
+    "gallery",
+    "advise",
+    "build",
+    "signal",
+    "system",
+    "run",
+    "compare",
+    "campaign",
+    "replay",
+    "tune",
+    "check",
+)
 
 
 class _Verbs(TyperGroup):
