@@ -59,6 +59,7 @@ HEARD_BY_DESIGN = 2.0  # the same of a paper's design, whose innovations die awa
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
 SPELL = 100  # samples of a spell of contradictions until the covariance, then the estimate, starts again; after each, twice as many
 TAUGHT = 5  # samples, far off each, that acted: what they taught is forgotten once there are no more
+HUSHED = 16  # samples in a row below a quarter of the level: of Gaussian ones they are one start in a million
 MOST_SPELLS = 20  # doublings
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
@@ -100,6 +101,7 @@ class Watch:
             "spell",
             "spells",
             "taught",
+            "hush",
             "age",
             "restarted",
         )
@@ -209,25 +211,31 @@ def verdict(
     tries = ca.if_else(quiet < PROVEN, ca.fmin(s.tries + ca.logic_and(again, lost), MOST_TRIES), 0)
     turn = ca.if_else(ca.logic_and(again, lost), ca.logic_not(s.turn), ca.logic_and(s.turn, s.age < PROVEN))
     level, peak = _learned(watch, s, mean, dof, loud)
+    # What starts again before it knows its noise starts to learn it again, too.
+    # So does what has learned it from a start that went wrong, and finds all samples since far quieter.
+    early = 0 if watch.known or watch.weighted else s.learnt < PROVEN + FINDING
+    hush = ca.if_else(dof > 0, ca.if_else(mean < s.level / 4, s.hush + 1, 0), s.hush)
+    fresh = ca.logic_and(early, ca.logic_or(again, hush >= HUSHED))
     after = watch.state.pack(
         {
             "tests": ca.if_else(again, 0, result.memory),
             "level": level,
-            "learnt": s.learnt + (dof > 0),
+            "learnt": ca.if_else(fresh, 0, s.learnt + (dof > 0)),
             "unit": 1 if watch.known else watch._unit(level, variances),
             "peak": peak,
             "doubt": ca.if_else(again, 0, doubt),
             "quiet": quiet,
             "earned": earned,
             "distrust": distrust,
-            "age": ca.if_else(again, 0, ca.fmin(s.age + (dof > 0), PROVEN)),
+            "hush": ca.if_else(fresh, 0, hush),
+            "age": ca.if_else(ca.logic_or(again, fresh), 0, ca.fmin(s.age + (dof > 0), PROVEN)),
             "tries": tries,
             "row": ca.if_else(again, 0, row),
             "turn": turn,
             "spell": ca.if_else(ca.logic_or(again, quiet >= EARNED), 0, s.spell + (dof > 0)),
             "taught": ca.if_else(again, 0, s.taught + ca.logic_and(result.alone, ca.logic_not(gross))),
             "spells": ca.if_else(distrust <= LOSS, 0, ca.fmin(s.spells + ca.logic_and(again, long), MOST_SPELLS)),
-            "restarted": ca.logic_or(s.restarted, again),
+            "restarted": ca.logic_or(s.restarted, ca.logic_and(again, ca.logic_not(fresh))),
         }
     )
     cases = (
