@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
+from scipy.optimize import minimize_scalar
 
 from observers.instance import Instance
 from observers.model import Model, Variable
@@ -224,3 +225,36 @@ def test_where_every_state_is_measured_Q_is_bounded_without_detectability_of_A()
     # A = 1 + 0.2 x <= 1.2, H = 2: q solves 2.4 q - 4 q^2 + 1 = 0.
     assert found["q"] <= (1.2 + math.sqrt(1.2**2 + 4)) / 4 * (1 + 1e-6)
     assert found["rho"] > 0
+
+
+def test_the_constants_of_a_model_that_is_nonlinear_in_both_equations_are_those_worked_out_by_hand():
+    """A = -2 + 0.2 x, Dh = 1 + 0.1 x on [-1, 1]; (2.3), (2.6) and the module's p, with R^-1 = 1 / 2."""
+    model = Model(
+        name="bent",
+        states=[Variable("x", min=-1, max=1)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-2 * x.x + 0.1 * x.x**2],
+        output=lambda x, u, p, t: [x.x + 0.05 * x.x**2],
+    )
+    found = constants(riccati(model, sample_time=0.1, N=0.5, R=2.0, Q0=0.2))
+    r0, q, P0, H = 0.25, 0.2, 5.0, 1.1 / 2
+    p = max(P0, (2.2 + math.sqrt(2.2**2 + r0 * H**2)) / r0)
+    C = math.sqrt(p) * 0.2 + math.sqrt(q) * 0.25 * 1.1 * 0.1
+    expected = {"A": 2.2, "H": H, "D2f": 0.2, "D2h": 0.1, "p": p, "q": q, "rho": r0 / (q**2 * math.sqrt(P0)) / C}
+    expected["delta"] = r0 / q**2 - 4 * p * 2.2 - 4 * 0.25 * 1.1**2
+    assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-7)  # nine digits each
+
+
+def test_Lambda_is_the_multiple_of_H_with_the_smallest_bound():
+    """(3.7) of a scalar model, minimised by scipy over s: 121 multiples are tried."""
+    a, h, N, Q0 = 0.1, 0.7, 1.3, 0.2
+    model = Model(
+        name="slow",
+        states=[Variable("x")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-a * x.x],
+        output=lambda x, u, p, t: [h * x.x],
+    )
+    found = constants(riccati(model, sample_time=0.1, N=N, R=1.0, Q0=Q0))
+    best = minimize_scalar(lambda s: (N**2 + (s * h) ** 2) / (2 * (a + s * h**2)), bounds=(0, 100)).fun
+    assert Q0 + best <= found["q_paper"] <= (Q0 + best) * (1 + 3e-3)
