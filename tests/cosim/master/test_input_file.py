@@ -47,7 +47,7 @@ def test_reals_are_linear_and_other_types_hold_the_last_row(
     text: str, resolved: ResolvedSystem, tmp_path: Path
 ) -> None:
     found = read(text, resolved, tmp_path)
-    np.testing.assert_allclose(found["u"], np.minimum(20 * TIMES, 9), rtol=1e-12)
+    np.testing.assert_allclose(found["u"], np.minimum(20 * TIMES, 9), rtol=1e-15)
     later = TIMES > 0.45
     for name, (before, after) in {"n": (1, 3), "b": (0, 1), "e": (1, 2)}.items():
         np.testing.assert_array_equal(found[name], np.where(later, after, before), err_msg=name)

@@ -1,5 +1,6 @@
 """The certificates of James & Baras: against exact fractions, scipy, brute force, and along runs."""
 
+import itertools
 import math
 from fractions import Fraction
 
@@ -85,8 +86,9 @@ def test_the_bounds_of_the_model_bound_the_guess_error():
     assert certified(**{"tuning.initial_error": 1e6}) == certified()
     # On the way between: x2 = 0, and x1 so that the distance is rho.
     edge = math.sqrt(rho**2 - bound**2) - bound
-    assert certified(**{"guess.x1": edge - 1e-6})[0] == INSIDE
-    assert certified(**{"guess.x1": edge + 1e-6})[0] == OUTSIDE
+    for side, name in itertools.product((1, -1), ("guess.x1", "guess.x2")):
+        assert certified(**{name: side * (edge - 1e-6)})[0] == INSIDE
+        assert certified(**{name: side * (edge + 1e-6)})[0] == OUTSIDE
 
 
 def test_the_constants_are_rounded_outward():

@@ -50,7 +50,7 @@ def outputs(s: np.ndarray, noise: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("length", [1.0, 0.5, 0.25])
 def test_a_part_of_a_step_leaves_the_rates_of_the_trajectory_that_it_leads_to(length: float) -> None:
-    """Whatever part: a linear model's rates are right after one step from anywhere, and the cost is that of the whole step."""
+    """A linear model's rates are right after one step from anywhere, and the cost and the size are those of the whole step."""
     problem, rng = window(), np.random.default_rng(0)
     solve = Solve(problem, structure.constraints(linear(damping=DAMPING, disturbed=True), problem, False))
     newton = process_noise.newton_step(solve)
@@ -67,7 +67,7 @@ def test_a_part_of_a_step_leaves_the_rates_of_the_trajectory_that_it_leads_to(le
     }
     V, s, noise = (rng.normal(size=newton.numel_in(i)) for i in (0, 2, 3))
     V_now, _, s_now, noise_now, *_ = (part.full().ravel() for part in newton(V, [], s, noise, length, *given.values()))
-    _, _, s_whole, noise_whole, _, cost, *_ = (
+    V_whole, _, s_whole, noise_whole, size, cost, *_ = (
         part.full().ravel() for part in newton(V, [], s, noise, 1.0, *given.values())
     )
     np.testing.assert_allclose(s_now, s + length * (s_whole - s), rtol=0, atol=1e-15)
@@ -77,3 +77,6 @@ def test_a_part_of_a_step_leaves_the_rates_of_the_trajectory_that_it_leads_to(le
     np.testing.assert_allclose(V_now, np.concatenate(rates), rtol=0, atol=7e-14)
     squares = WEIGHT * np.sum((outputs(s_whole, noise_whole, u) - y) ** 2)
     np.testing.assert_allclose(cost, squares, rtol=1e-13)
+    # |step|^2 in units of the nominal values, of the noise's deviations, and of the rates that half a segment makes of a nominal value.
+    moved = [s_whole - s, noise_whole - noise, (V_whole - V) * M * TS / 2]
+    np.testing.assert_allclose(size, sum(part @ part for part in moved), rtol=1e-13)
