@@ -59,6 +59,7 @@ AREAS = {
             "tests/observers/test_bounds.py",
             "tests/observers/test_watch.py",
             "tests/observers/test_tables.py",
+            "tests/observers/test_undo.py",
             "tests/observers/test_free_motion.py",
             "tests/observers/test_failures.py",
         ),

@@ -14,7 +14,7 @@ from observers.component import Component
 from observers.instance import Instance
 from observers.model import Variable
 from observers.status import CODE
-from reference_models.double_integrator import MASS_WITH_UNKNOWN_FORCE
+from reference_models.double_integrator import DOUBLE_INTEGRATOR, MASS_WITH_UNKNOWN_FORCE
 
 TS, SAMPLES = 0.02, 68
 C = np.array([[1, 0, 0], [1, 0, 0.5]])
@@ -172,3 +172,21 @@ def test_the_last_disturbance_moves_the_prediction_over_samples_that_are_missing
             found = [run.get(f"{part}.{name}") for part in ("filtered", "estimate") for name in ("x1", "x2", "force")]
             expected = [1 + t**2, 2 * t, 2, 1 + (t + 0.01) ** 2, 2 * (t + 0.01), 2]
             np.testing.assert_allclose(found, expected, rtol=0, atol=5e-12, err_msg=str(k))
+
+
+@pytest.mark.parametrize(
+    ("options", "slowest"),
+    [
+        ({"poles": [-2.0, -5.0]}, 2.0),
+        ({"poles": [-3 + 4j, -3 - 4j]}, 3.0),
+        ({"poles": [-400.0, -500.0]}, 400.0),
+        ({}, 10.0),
+        ({"gain": "regional", "alpha": 0.5}, 0.5),
+    ],
+)
+def test_the_fault_detector_waits_for_time_constants_of_the_slowest_pole(options: dict, slowest: float) -> None:
+    """Five of them, and twenty samples at least, until it is armed; five samples until a fault is detected."""
+    made = canonical_dae(DOUBLE_INTEGRATOR, sample_time=TS, **options)
+    starts = {port.name: port.start for port in made.parameters}
+    assert starts["tuning.fault_settling"] == pytest.approx(max(5 / slowest, 20 * TS), rel=1e-15, abs=0)
+    assert starts["tuning.fault_persistence"] == pytest.approx(5 * TS, rel=1e-15, abs=0)
