@@ -48,6 +48,7 @@ AREAS = {
         (
             "tests/observers/test_component.py",
             "tests/observers/test_model.py",
+            "tests/observers/test_mistakes.py",
             "tests/observers/test_contract.py",
             "tests/observers/test_ports.py",
             "tests/observers/test_compose.py",
