@@ -229,33 +229,6 @@ def test_where_every_state_is_measured_Q_is_bounded_without_detectability_of_A()
     assert found["rho"] > 0
 
 
-BY_MATRICES = {"N": 0.5, "R": 2.0, "Q0": 0.2}
-BY_NAME = {
-    "process_noise": {"x": 0.5},
-    "measurement_noise": {"y": 2 / math.sqrt(0.1)},
-    "initial_std": {"x": math.sqrt(0.2)},
-}
-
-
-@pytest.mark.parametrize("design", [BY_MATRICES, BY_NAME], ids=["matrices", "deviations"])
-def test_the_constants_of_a_model_that_is_nonlinear_in_both_equations_are_those_worked_out_by_hand(design):
-    """A = -2 + 0.2 x, Dh = 1 + 0.1 x on [-1, 1]; (2.3), (2.6) and the module's p, with R^-1 = 1 / 2, said in either way."""
-    model = Model(
-        name="bent",
-        states=[Variable("x", min=-1, max=1)],
-        outputs=[Variable("y")],
-        ode=lambda x, u, p, t: [-2 * x.x + 0.1 * x.x**2],
-        output=lambda x, u, p, t: [x.x + 0.05 * x.x**2],
-    )
-    found = constants(riccati(model, sample_time=0.1, **design))
-    r0, q, P0, H = 0.25, 0.2, 5.0, 1.1 / 2
-    p = max(P0, (2.2 + math.sqrt(2.2**2 + r0 * H**2)) / r0)
-    C = math.sqrt(p) * 0.2 + math.sqrt(q) * 0.25 * 1.1 * 0.1
-    expected = {"A": 2.2, "H": H, "D2f": 0.2, "D2h": 0.1, "p": p, "q": q, "rho": r0 / (q**2 * math.sqrt(P0)) / C}
-    expected["delta"] = r0 / q**2 - 4 * p * 2.2 - 4 * 0.25 * 1.1**2
-    assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-7)  # nine digits each
-
-
 def test_Lambda_is_the_multiple_of_H_with_the_smallest_bound():
     """(3.7) of a scalar model, minimised by scipy over s: 121 multiples are tried."""
     a, h, N, Q0 = 0.1, 0.7, 1.3, 0.2
