@@ -27,6 +27,7 @@ FAILURES = (
     "lose",
     "log_for_ever",
     "obey_me",
+    "read_stdin",
 )
 UNITS = {
     "m": '<BaseUnit m="1"/>',

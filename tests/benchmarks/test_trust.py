@@ -55,7 +55,7 @@ def test_a_compiled_observer_estimates_what_an_instance_does(streams: Streams, t
         instance.set("y", stream.measured["y"][k])
         instance.step(instance.time, 0.1)
         error = instance.get("estimate.x1") - stream.truth["x.x1"][k + 1]
-        assert record.errors[k, 0] == pytest.approx(error, abs=1e-9)
+        assert record.errors[k, 0] == pytest.approx(error, abs=1e-14)
 
 
 def test_an_observer_that_is_right_is_never_wrong_and_one_that_is_lied_to_is(streams: Streams, tried: Tried) -> None:

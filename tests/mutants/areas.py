@@ -5,16 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-TEST_ROOT = "tests"
+METHODS = ("canonical_dae", "elementary", "least_squares", "pseudospectral", "riccati", "ukf")
 
 
 @dataclass(frozen=True)
 class Area:
-    """`files`: patterns of what is mutated, but not `without`; `tests`: folders and files of tests that ask what they promise."""
+    """`files`: patterns of what is mutated, but not `without`; `tests`: folders and files of tests that ask what they promise.
+
+    Of tests that come once for each method, those of `method`.
+    """
 
     files: tuple[str, ...]
     tests: tuple[str, ...]
     without: tuple[str, ...] = ()
+    method: str = ""
+
+    @property
+    def keywords(self) -> str:
+        """pytest's `-k`."""
+        return f"{self.method} or not ({' or '.join(METHODS)})" if self.method else ""
 
     def paths(self, root: Path) -> list[str]:
         """The files, relative to `root`, in the order of their names."""
@@ -30,7 +39,7 @@ SHARED = tuple(
 
 
 def _method(name: str) -> Area:
-    return Area((f"observers/{name}/*.py",), (f"tests/observers/{name}", *SHARED))
+    return Area((f"observers/{name}/*.py",), (f"tests/observers/{name}", *SHARED), method=name)
 
 
 AREAS = {
@@ -39,6 +48,7 @@ AREAS = {
         (
             "tests/observers/test_component.py",
             "tests/observers/test_model.py",
+            "tests/observers/test_mistakes.py",
             "tests/observers/test_contract.py",
             "tests/observers/test_ports.py",
             "tests/observers/test_compose.py",
@@ -49,6 +59,8 @@ AREAS = {
             "tests/observers/test_clock.py",
             "tests/observers/test_bounds.py",
             "tests/observers/test_watch.py",
+            "tests/observers/test_tables.py",
+            "tests/observers/test_undo.py",
             "tests/observers/test_free_motion.py",
             "tests/observers/test_failures.py",
         ),
@@ -79,6 +91,7 @@ AREAS = {
             "tests/observers/pseudospectral/test_wandering_parameter.py",
             "tests/observers/pseudospectral/test_window_diagnostics.py",
         ),
+        method="pseudospectral",
     ),
     "riccati": _method("riccati"),
     "ukf": _method("ukf"),

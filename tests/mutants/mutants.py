@@ -55,7 +55,7 @@ def try_area(sandbox: Sandbox, name: str, area: Area, count: int, seed: int, res
         if row is None or (again and row["outcome"] == SURVIVED):
             if not patience:
                 began = time.monotonic()
-                outcome, where = sandbox.run(None, area.tests, 1800.0, times)
+                outcome, where = sandbox.run(None, area, 1800.0, times)
                 if outcome != SURVIVED:
                     print(f"{name}: some tests fail without a fault and are left out, the first: {where}", flush=True)
                 patience = PATIENCE * (time.monotonic() - began) + PATIENCE
@@ -63,7 +63,7 @@ def try_area(sandbox: Sandbox, name: str, area: Area, count: int, seed: int, res
             row = {"key": mutant.key, "area": name, "mutant": str(mutant), "seed": seed}
             began = time.monotonic()
             if sandbox.compiles(mutant):
-                row["outcome"], row["by"] = sandbox.run(mutant, area.tests, patience, times)
+                row["outcome"], row["by"] = sandbox.run(mutant, area, patience, times)
             else:
                 row["outcome"], row["by"] = "no mutant", "the compiler refuses it"
             row["seconds"] = round(time.monotonic() - began, 1)

@@ -34,6 +34,8 @@ SWAPPED = {
 }
 SWAPPED |= {new: old for old, new in SWAPPED.items() if new != "mmax"}
 SILENT = ("__str__", "__repr__")  # words for people
+FIELD = ("default", "default_factory")  # options of a dataclass field that say more than how it is shown and compared
+BORDER = "HUGE"  # whether a number that large counts as finite is all the same
 
 
 class _Text:
@@ -75,9 +77,13 @@ def _visit(source: _Text, node: ast.AST, assigned: set[str]) -> Iterator[Mutatio
             return
         assigned = set()
     yield from _faults(source, node, assigned)
+    if isinstance(node, ast.Dict) and [key.value for key in node.keys if isinstance(key, ast.Constant)] == ["cse"]:
+        return  # the same numbers from longer code
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "decorator_list") or isinstance(node, ast.JoinedStr | ast.Assert):
             continue
+        if name == "keywords":
+            value = [option for option in value if not _changes_nothing(node, option)]
         for child in value if isinstance(value, list) else [value]:
             if isinstance(child, ast.AST):
                 yield from _visit(source, child, assigned)
@@ -130,8 +136,19 @@ def _comparisons(source: _Text, node: ast.Compare) -> Iterator[Mutation]:
     words = {ast.In: "in", ast.NotIn: "not in", ast.Is: "is", ast.IsNot: "is not"}
     for left, op, right in zip(operands, node.ops, operands[1:], strict=False):
         start, end = source.between(left, right, (symbols | words)[type(op)])
-        for new in COMPARED[type(op)]:
+        news = COMPARED[type(op)]
+        for new in news[1:] if isinstance(right, ast.Name) and right.id == BORDER else news:
             yield "comparison", start, end, new
+
+
+def _changes_nothing(call: ast.AST, option: ast.AST) -> bool:
+    """Whether sound code runs the same whatever the option says: lengths that agree are not checked, a field is shown or not."""
+    match call, option:
+        case ast.Call(func=ast.Name(id="zip")), ast.keyword(arg="strict"):
+            return True
+        case ast.Call(func=ast.Name(id="field")), ast.keyword(arg=name):
+            return name not in FIELD
+    return False
 
 
 def _is_text(node: ast.AST) -> bool:

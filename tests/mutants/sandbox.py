@@ -12,10 +12,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from areas import Area
 from mutant import Mutant
 
 # Imported once, before the processes fork: they take most of the time in which a short test runs.
@@ -84,11 +84,11 @@ class Sandbox:
         with self._faulty(mutant):
             return self._fork(_compile_shell, 120.0, self.folder / "compiler.txt") == 0
 
-    def run(self, mutant: Mutant | None, tests: Sequence[str], seconds: float, times: Path) -> tuple[str, str]:
-        """(outcome, the first test that failed): the tests on the tree with this fault in it, or with none."""
+    def run(self, mutant: Mutant | None, area: Area, seconds: float, times: Path) -> tuple[str, str]:
+        """(outcome, the first test that failed): the area's tests on the tree with this fault in it, or with none."""
         log = self.folder / "pytest.txt"
         with self._faulty(mutant):
-            code = self._fork(lambda: _pytest(self.tree, self.folder, tests, times, mutant is None), seconds, log)
+            code = self._fork(lambda: _pytest(self.tree, self.folder, area, times, mutant is None), seconds, log)
         shutil.rmtree(self.folder / "temporary", ignore_errors=True)
         text = log.read_text(errors="replace")
         failed = [line.split(" - ")[0] for line in text.splitlines() if line.startswith(("FAILED ", "ERROR "))]
@@ -161,13 +161,15 @@ def _compile_shell() -> int:
     return 0
 
 
-def _pytest(tree: Path, folder: Path, tests: Sequence[str], times: Path, measure: bool) -> int:
-    known = [test for test in tests if (tree / test).exists()]
+def _pytest(tree: Path, folder: Path, area: Area, times: Path, measure: bool) -> int:
+    known = [test for test in area.tests if (tree / test).exists()]
     arguments = [
         "--maxfail=20" if measure else "-x",
         "-q",
         "-m",
         "not long",
+        "-k",
+        area.keywords,
         "-p",
         "no:cacheprovider",
         "-p",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -46,13 +48,18 @@ def test_a_correction_that_overflows_keeps_the_prediction_and_what_comes_next_is
     assert run.get("diagnostics.restarts") == 0
 
 
-def cliff(begin: float, rate: float = 0.0) -> Model:
-    """Its state moves evenly, but for 90 ms in which it has no motion."""
+def cliff(*begins: float, rate: float = 0.0, length: float = 0.09) -> Model:
+    """Its state moves evenly, but for `length` seconds from each of `begins` on, in which it has no motion."""
+
+    def gone(t: Any) -> Any:
+        cliffs = [ca.logic_and(t > begin, t < begin + length) for begin in begins]
+        return functools.reduce(ca.logic_or, cliffs)
+
     return Model(
         name="cliff",
         states=[Variable("a", start=0.4)],
         outputs=[Variable("y")],
-        ode=lambda x, u, p, t: [ca.if_else(ca.logic_and(t > begin, t < begin + 0.09), ca.exp(800 + x.a), rate)],
+        ode=lambda x, u, p, t: [ca.if_else(gone(t), ca.exp(800 + x.a), rate)],
         output=lambda x, u, p, t: [x.a],
     )
 
@@ -92,6 +99,21 @@ def test_a_motion_that_escapes_undoes_the_last_sample_and_one_that_escapes_again
     run.set("y", 1.0)
     run.step(0.9, TS)
     assert run.get("diagnostics.solver_failures") == 2 and run.get("diagnostics.status") != CODE.solver_failed
+
+
+@pytest.mark.parametrize("kind", ["elementary", "canonical_dae"])
+def test_the_sample_after_an_undone_one_is_no_place_to_go_back_to(kind: str) -> None:
+    """What escapes once more after it starts from the guess, and what escapes after the one that follows goes back again."""
+    run = Instance(ALL[kind](cliff(0.805, 0.905, rate=0.3, length=0.04)))
+    for k in range(10):
+        before = run.get("estimate.a")
+        run.set("y", 1 + 0.03 * k)
+        run.step(0.1 * k, 0.05)
+        if k >= 8:
+            assert run.get("estimate.a") == (before if k == 8 else 0.4)
+        run.step(0.1 * k + 0.05, 0.05)
+    assert abs(before - 1.255) < 0.01  # half a sample time after the sample before the escape
+    assert run.get("diagnostics.solver_failures") == 2
 
 
 @pytest.mark.parametrize("kind", KINDS)

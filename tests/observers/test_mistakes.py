@@ -64,6 +64,11 @@ def test_a_branch_of_python_is_named_with_what_casadi_has_for_it(kind: str) -> N
     assert "ca.if_else(condition, a, b), ca.logic_and(a, b)" in said
 
 
+def test_a_branch_on_an_array_of_numbers_is_numpys_affair() -> None:
+    said = message(lambda: pendulum(ode=lambda x, u, p, t: [x.rate, 1.0 if np.array([1.0, 2.0]) > 0 else x.angle]))
+    assert "truth value of an array" in said and "ca.if_else" not in said
+
+
 MATHS: dict[str, Callable[..., Any]] = {
     "sin": lambda x, u, p, t: [x.rate, -math.sin(x.angle)],
     "sqrt": lambda x, u, p, t: [x.rate, math.sqrt(x.angle + 1)],

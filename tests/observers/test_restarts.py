@@ -10,8 +10,10 @@ from linear_filters import GUESS, KINDS, LINEAR, TS, F, Reference, made
 
 from observers.instance import Instance
 from observers.least_squares import least_squares
+from observers.model import Model, Variable
 from observers.riccati import riccati
 from observers.status import CODE
+from observers.ukf import ukf
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -81,3 +83,40 @@ def test_a_sample_acts_within_ten_deviations_of_its_innovation_and_not_beyond(ki
         np.testing.assert_allclose(run.get("filtered.a"), reference.x[0], rtol=0, atol=1e-12)
         reference.move()
     assert (run.get("diagnostics.status") == CODE.outlier) == (abs(part) > 1)
+
+
+def pushed() -> Model:
+    """A state that moves as its known input says."""
+    return Model(
+        name="pushed",
+        states=[Variable("a", start=0.4)],
+        inputs=[Variable("push")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [u.push],
+        output=lambda x, u, p, t: [x.a],
+    )
+
+
+TOLD = {"measurement_noise": {"y": 0.2}, "initial_std": {"a": 1.0}}
+PUSHED = {
+    "ukf": lambda: ukf(pushed(), sample_time=TS, **TOLD, process_noise={"a": 0.1}),
+    "riccati": lambda: riccati(pushed(), sample_time=TS, **TOLD, process_noise={"a": 0.1}),
+    "least_squares": lambda: least_squares(pushed(), sample_time=TS, T=100.0, max_step=TS, **TOLD),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("escape", [15, 41], ids=["the covariance", "the estimate"])
+def test_what_escapes_right_after_a_restart_goes_back_to_what_the_restart_began_with(kind: str, escape: int) -> None:
+    """The prediction where only the covariance started again, the guess where the estimate did, and what lies before it is forgotten."""
+    run = Instance(PUSHED[kind]())
+    for k in range(escape + 1):
+        far = 6 <= k < 16 or 22 <= k < 42
+        before = run.get("estimate.a")
+        run.set("y", 1000.0 * far + 1.0 + 0.1 * math.sin(k))
+        run.set("push", 1e300 if k == escape else 0.0)
+        run.step(k * TS, TS)
+    assert run.get("diagnostics.restarts") == (1 if escape == 15 else 2)
+    assert run.get("diagnostics.solver_failures") == 1
+    assert abs(before - 1) < 0.2
+    assert run.get("estimate.a") == pytest.approx(before if escape == 15 else 0.4, rel=1e-14, abs=0)

@@ -16,7 +16,7 @@ from observers.bounds import projected
 from observers.component import Component
 from observers.instance import Instance
 from observers.least_squares import least_squares
-from observers.model import Model, ModelError, Variable
+from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
 from observers.riccati import riccati
 from observers.status import CODE
@@ -262,29 +262,3 @@ def test_bounds_do_not_hide_a_number_that_is_none() -> None:
     for given, expected in (([-1.0, -1.0], [0.0, -1.0]), ([2.0, 9.0], [1.0, 9.0]), ([0.25, 0.0], [0.25, 0.0])):
         assert_allclose(function(given).full().ravel(), expected, rtol=0, atol=0)
     assert math.isnan(float(function([math.nan, 0.0])[0]))
-
-
-def cell(table: str, **bounds: float) -> Model:
-    grid = np.linspace(0, 1, 21)
-    voltage = ca.interpolant("ocv", table, [grid], 3 + grid)
-    return Model(
-        name="cell",
-        states=[Variable("soc", start=0.5, **bounds)],
-        inputs=[Variable("i")],
-        outputs=[Variable("v")],
-        ode=lambda x, u, p, t: [-u.i / 3600],
-        output=lambda x, u, p, t: [voltage(x.soc)],
-    )
-
-
-@pytest.mark.parametrize("make", [ukf, riccati])
-def test_a_table_that_ends_is_refused_unless_bounds_hold_its_argument_within(make: Callable[..., Component]) -> None:
-    make(cell("bspline", min=0.0, max=1.0), sample_time=1.0)
-    make(cell("linear"), sample_time=1.0)
-    for bounds, words in (
-        ({}, "soc = "),
-        ({"min": 0.0}, "soc = "),
-        ({"min": 0.0, "max": 1.2}, "reaches 1.2 where soc = 1.2"),
-    ):
-        with pytest.raises(ModelError, match=f"'ocv' is 0 beyond its grid.*{words}"):
-            make(cell("bspline", **bounds), sample_time=1.0)

@@ -208,9 +208,26 @@ def test_the_deviations_are_in_the_scale_of_the_innovations_where_nobody_says_wh
     watched = Watched(known=False)
     for k in range(30):
         said = watched(size * np.array([1.0, -1.0]) * (-1) ** k, (1, k % 3 > 0))
-        np.testing.assert_allclose(said.factor, size, rtol=1e-12)
+        np.testing.assert_allclose(said.factor, size, rtol=5e-15)
         watched((9.0, 9.0), (0, 0))
-    np.testing.assert_allclose(watched((9.0, 9.0), (0, 0)).factor, size, rtol=1e-12)
+    np.testing.assert_allclose(watched((9.0, 9.0), (0, 0)).factor, size, rtol=5e-15)
+
+
+def test_the_scale_is_that_of_the_first_thirty_samples_the_later_ones_most_and_hardly_grows_while_samples_contradict() -> (
+    None
+):
+    """Weights (k + 1)(k + 2) of their squares; nine outliers in a row then add a tenth, where they are ten thousand times as large."""
+    watched, sizes, weights = Watched(known=False), [], []
+    for k in range(30):
+        sizes.append(3.0 if k < 10 else 1.0 + 0.01 * k)
+        weights.append((k + 1) * (k + 2))
+        said = watched(sizes[-1] * np.array([1.0, -1.0]) * (-1) ** k)
+        expected = np.sqrt(np.average(np.square(sizes), weights=weights))
+        np.testing.assert_allclose(said.factor, expected, rtol=2e-15)
+    for _ in range(9):
+        said = watched((1e4, 1e4))
+        assert said.outlying == [1, 1]
+    assert (said.factor >= expected).all() and (said.factor < 1.1 * expected).all()
 
 
 def test_deviations_of_a_given_noise_are_the_filters_own() -> None:
@@ -226,7 +243,9 @@ def test_of_a_papers_design_the_first_covariance_comes_again_in_the_scale_of_the
         for k in range(600):
             size = 3.0 if k < 30 else 0.3
             said = watched(size * np.array([1.0, -1.0]) * (-1) ** k)
-        np.testing.assert_allclose(said.again * said.factor[0] ** 2, factor if weighted else said.factor[0] ** 2)
+        np.testing.assert_allclose(
+            said.again * said.factor[0] ** 2, factor if weighted else said.factor[0] ** 2, rtol=2e-15
+        )
         assert said.factor[0] < 0.5
 
 

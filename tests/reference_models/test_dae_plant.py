@@ -162,6 +162,31 @@ def test_a_branch_of_the_algebraic_equations_is_followed_to_its_end_and_never_le
         assert run.get("z.z") < -1
 
 
+def test_of_a_step_whose_substeps_all_fail_the_first_failure_is_told() -> None:
+    """The branch ends at t = 0.7, in the fourteenth of a hundred substeps."""
+    run = Instance(plant(FOLD, max_step=0.05), {"start.x": 1.3, "start.z": np.sort(np.roots([1, 0, -3, -1.3]).real)[0]})
+    with pytest.raises(ValueError, match=r"'z' .* at t = 0\.(6[5-9]|7)"):
+        run.step(0.0, 5.0)
+
+
+def test_an_input_that_leaves_no_solution_fails_at_the_time_from_which_it_holds() -> None:
+    """t = 0 here, the first of ten substeps that all fail."""
+    root = Model(
+        name="root",
+        states=[Variable("x")],
+        algebraic=[Variable("z", start=1.0)],
+        inputs=[Variable("u", start=1.0)],
+        outputs=[Variable("y")],
+        ode=lambda x, z, u, p, t: [z.z],
+        output=lambda x, z, u, p, t: [x.x],
+        algebraic_equations=lambda x, z, u, p, t: [z.z**2 - u.u],
+    )
+    run = Instance(plant(root, max_step=0.05), inputs={"u": 1.0})
+    run.set("u", -1.0)
+    with pytest.raises(ValueError, match=r"root: .* 'z' .* at t = 0,"):
+        run.step(0.0, 0.5)
+
+
 def test_no_step_leaps_over_the_end_of_a_branch_to_another_wherever_it_begins() -> None:
     """Newton's method, left to itself, finds the other branch from some of these beginnings."""
     fold = plant(FOLD, max_step=0.5)

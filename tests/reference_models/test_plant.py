@@ -127,6 +127,9 @@ def test_parameters_have_the_bounds_units_and_start_values_of_the_model() -> Non
     ):
         port = ports[name]
         assert (port.min, port.max, port.start, port.unit) == (low, high, start, unit), name
+    for kind in ("noise_bound", "noise_std"):  # of several outputs, which one
+        texts = [ports[f"sensor.{kind}.{y}"].description for y in ("y1", "y2")]
+        assert texts[0].removesuffix("y1") == texts[1].removesuffix("y2") != texts[0]
     assert ports["start.s"].nominal == 2.0 and ports["sensor.seed"].kind == "Integer"
     fixed = {name for name, port in ports.items() if port.variability == "fixed"}
     assert fixed == {"start.s", "start.v", "parameter.k_jump_time[1]", "sensor.seed", "sensor.sample_time"}

@@ -15,7 +15,7 @@ enum { U, Y, GAIN, FAIL_TIME, N_REALS };
 enum { N, M, FAILURE, E, F, N_INTEGERS };
 enum { B, C, N_BOOLEANS };
 enum { NONE, EXIT, CRASH, ENDLESS, PENDING_FOR_EVER, PENDING_ONCE, ABORT_AT_GET, SET_FOR_EVER, NOISE, REPORT_TOLERANCE,
-       GARBLE, LOSE, LOG_FOR_EVER, OBEY_ME };
+       GARBLE, LOSE, LOG_FOR_EVER, OBEY_ME, READ_STDIN };
 
 typedef enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED } Phase;
 
@@ -213,6 +213,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean keep)
                 say(self, fmi2Warning, "again");
         case OBEY_ME:
             return refuse(self, "a line\nand another \x1b[31m");
+        case READ_STDIN: /* to its end */
+            while (getchar() != EOF)
+                ;
+            break;
         case NOISE:
             for (int i = 0; i < 1000; i++)
                 puts("a line that nobody asked for");

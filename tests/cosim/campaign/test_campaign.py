@@ -85,11 +85,11 @@ def test_the_table_says_of_each_run_what_the_same_run_alone_gives(system: Path, 
     values = {path: float(row[path]) for path in VARY}
     result = run(system, overrides=values)
     error = result["observer.estimate.theta"] - result["plant.x.theta"]
-    assert float(row[f"rms{ERROR}"]) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12, abs=0)
+    assert float(row[f"rms{ERROR}"]) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-15, abs=0)
     assert float(row[f"largest{ERROR}"]) == np.abs(error).max()
     # Settled, 1 s after the start and after the jump at 2 s: t in (1, 2] and (3, 4].
     settled = np.r_[11:21, 31:41]
-    assert float(row[f"settled_rms{ERROR}"]) == pytest.approx(np.sqrt(np.mean(error[settled] ** 2)), rel=1e-12, abs=0)
+    assert float(row[f"settled_rms{ERROR}"]) == pytest.approx(np.sqrt(np.mean(error[settled] ** 2)), rel=1e-15, abs=0)
     fitting = int(row["observer.diagnostics.status.estimating"])
     assert fitting == np.sum(result["observer.diagnostics.status"] == CODE.estimating) > 5
     assert row["failure"] == "" and row["non_finite"] == row["observer.diagnostics.solver_failures"] == "0"
@@ -313,10 +313,10 @@ def test_the_figure_has_the_averages_over_the_runs(system: Path, whole: Path) ->
     estimates, truths = (np.array([record[name] for record in records]) for name in ("estimates", "truths"))
     curves = {line.get_label(): line.get_ydata() for line in theta.lines}
     np.testing.assert_array_equal(curves["average of the estimates"], estimates[:, :, 2].mean(axis=0))
-    np.testing.assert_allclose(curves["true"], np.where(np.arange(41) <= 20, 0.4, 0.1), rtol=1e-12)
+    np.testing.assert_allclose(curves["true"], np.where(np.arange(41) <= 20, 0.4, 0.1), rtol=5e-15)
     errors = {line.get_label(): line.get_ydata() for line in x1.lines}
     np.testing.assert_allclose(
-        errors["rms error over the runs"], np.sqrt(np.mean((estimates - truths)[:, :, 0] ** 2, axis=0)), rtol=1e-12
+        errors["rms error over the runs"], np.sqrt(np.mean((estimates - truths)[:, :, 0] ** 2, axis=0)), rtol=1e-15
     )
     assert [axis.get_ylabel() for axis in (x1, x2, theta)] == ["error of x1 [m]", "error of x2 [m/s]", "theta [m/s2]"]
     assert svg(figure(made)) == svg(figure(made))

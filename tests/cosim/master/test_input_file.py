@@ -47,10 +47,20 @@ def test_reals_are_linear_and_other_types_hold_the_last_row(
     text: str, resolved: ResolvedSystem, tmp_path: Path
 ) -> None:
     found = read(text, resolved, tmp_path)
-    np.testing.assert_allclose(found["u"], np.minimum(20 * TIMES, 9), rtol=1e-12)
+    np.testing.assert_allclose(found["u"], np.minimum(20 * TIMES, 9), rtol=1e-15)
     later = TIMES > 0.45
     for name, (before, after) in {"n": (1, 3), "b": (0, 1), "e": (1, 2)}.items():
         np.testing.assert_array_equal(found[name], np.where(later, after, before), err_msg=name)
+
+
+@pytest.mark.parametrize("time", ["0.3", "0.30000000000000004"])
+def test_a_row_at_a_communication_point_counts_from_there_on(
+    time: str, resolved: ResolvedSystem, tmp_path: Path
+) -> None:
+    """Whether the file's number is the master's, 3 * 0.1, or the one that people write."""
+    found = read(f"time,drive,a.n,a.b,a.e\n0,0,1,0,1\n{time},9,3,1,2\n1,9,3,1,2\n", resolved, tmp_path)
+    for name, (before, after) in {"n": (1, 3), "b": (0, 1), "e": (1, 2)}.items():
+        np.testing.assert_array_equal(found[name].ravel(), np.where(np.arange(11) >= 3, after, before))
 
 
 def test_a_step_holds_the_value_of_its_beginning(system: System, tmp_path: Path) -> None:

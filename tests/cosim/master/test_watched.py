@@ -124,6 +124,12 @@ def test_an_fmu_works_in_a_scratch_folder_that_goes_with_the_run(
     assert not list(tmp_path.glob("cosim-*")) and not Path("eventlog.txt").exists()
 
 
+def test_an_fmu_that_reads_standard_input_finds_nothing_there(strict: Strict) -> None:
+    """Not the requests of the master, which come that way."""
+    result = watched.run(failing(strict, "read_stdin"), limit=5.0)
+    assert len(result.time) == 11
+
+
 def test_a_mistake_is_the_same_error_as_without_a_process(strict: Strict, tmp_path: Path) -> None:
     system = failing(strict, "none")
     with pytest.raises(ExperimentError, match=r"stop time 0\.25 is not a multiple"):

@@ -158,7 +158,7 @@ def test_temperatures_have_an_offset(tmp_path: Path) -> None:
     for unit, value in (("degC", 25), ("°C", 25), ("K", 298.15), ("degF", 77)):
         log = log_of(tmp_path, [f"time,y [{unit}]", *(f"{k},{value}" for k in range(50))])
         ends.append(replay(made, log).result["observer.estimate.T"][-1])
-    assert ends[0] == pytest.approx(25, abs=0.1)
+    assert ends[0] == pytest.approx(25, rel=1e-13, abs=0)
     np.testing.assert_allclose(ends, ends[0], rtol=0, atol=1e-12)
 
 

@@ -107,7 +107,7 @@ def test_the_replay_of_a_recorded_run_equals_the_coupled_run_exactly(
     for name in ("time", *(name for name in coupled.names if name.startswith("observer."))):
         expected = coupled.time if name == "time" else coupled[name]
         np.testing.assert_array_equal(estimates[name][:-1], expected)
-    assert estimates["time"][-1] == pytest.approx(30.1)
+    assert estimates["time"][-1] == pytest.approx(30.1, rel=1e-14, abs=0)
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<td>estimating</td>" in page and "<td>plant.y</td>" in page
 
@@ -167,7 +167,7 @@ def test_with_validity_inputs_a_known_input_is_held_where_a_row_is_missing(tmp_p
     made = replay(fmu, written(tmp_path / "log.csv", time, y=y, rate=rate), overrides={"kick_time": 1e9})
     assert made.kept == ["measurement_valid.y"] and made.empty == {"y": 1, "rate": 0}
     # Level 1 grows by 0.2 from 0.1 s on, held over the instant without a row, and goes half the way to 1 at 0.3 s and 0.4 s.
-    np.testing.assert_allclose(made.result["observer.estimate.level"], [1, 1, 1.2, 1.4, 1.2, 1.1], rtol=1e-12)
+    np.testing.assert_allclose(made.result["observer.estimate.level"], [1, 1, 1.2, 1.4, 1.2, 1.1], rtol=3e-15)
     valid = np.array([1.0, 0.0, 1.0, 1.0])
     columns = {"y": y, "rate": rate, "measurement_valid.y": valid}
     made = replay(fmu, written(tmp_path / "log.csv", time, **columns), overrides={"kick_time": 1e9})
@@ -188,7 +188,7 @@ def test_a_measurement_that_a_boolean_column_calls_invalid_is_as_good_as_missing
     for variable in ("x1", "x2", "theta"):
         column = f"observer.estimate.{variable}"
         np.testing.assert_array_equal(found["flagged"][column], found["missing"][column])
-    assert np.abs(found["flagged"]["observer.estimate.x1"][:60] - coupled["plant.x.x1"][:60])[20:].max() < 1e-6
+    assert np.abs(found["flagged"]["observer.estimate.x1"][:60] - coupled["plant.x.x1"][:60])[20:].max() < 2e-10
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_irregular_times_take_the_nearest_row_of_each_instant(tmp_path: Path) ->
     log = written(tmp_path / "log.csv", time, y=time)
     taken = sampling(log, read_log(log).numbers("time"), 0.1)
     assert taken.start == 5.0 and taken.rows.tolist() == [0, 1, 2, 4, -1, 5]
-    np.testing.assert_allclose(taken.offsets, [0, 0.03, -0.015, 0.01, 0, 0.02], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(taken.offsets, [0, 0.03, -0.015, 0.01, 0, 0.02], rtol=0, atol=5e-15)
 
 
 def test_a_finer_log_is_thinned_to_the_sample_instants_and_the_report_says_so(

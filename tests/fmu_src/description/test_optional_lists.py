@@ -1,4 +1,4 @@
-"""Lists that the schema allows to be missing but not to be empty."""
+"""Lists that the schema allows to be missing but not to be empty; and the first line, which the schema cannot see."""
 
 from __future__ import annotations
 
@@ -47,3 +47,11 @@ def test_a_list_without_members_is_left_out_as_the_schema_demands(component: Com
     schema = Path(fmpy.__file__).parent / "schema" / "fmi2" / "fmi2ModelDescription.xsd"
     etree.XMLSchema(etree.parse(str(schema))).assertValid(root)
     assert {child.tag for child in root} & {"UnitDefinitions", "TypeDefinitions"} == lists
+
+
+def test_the_first_line_says_the_encoding_that_the_text_has() -> None:
+    """FMI 2.0, section 2.2: UTF-8."""
+    document = describe(without_units(Port("level", "Füllhöhe in °", unit=NONE)), "{0}", ["a.c"])
+    first, _, rest = document.partition(b"\n")
+    assert first.replace(b"'", b'"') == b'<?xml version="1.0" encoding="UTF-8"?>'
+    assert "Füllhöhe in °" in rest.decode("utf-8")

@@ -12,9 +12,9 @@ from moving_window import A, B, linear
 from observers.canonical_dae import canonical_dae
 from observers.component import Component
 from observers.instance import Instance
-from observers.model import Variable
+from observers.model import Model, Variable
 from observers.status import CODE
-from reference_models.double_integrator import MASS_WITH_UNKNOWN_FORCE
+from reference_models.double_integrator import DOUBLE_INTEGRATOR, MASS_WITH_UNKNOWN_FORCE
 
 TS, SAMPLES = 0.02, 68
 C = np.array([[1, 0, 0], [1, 0, 0.5]])
@@ -172,3 +172,40 @@ def test_the_last_disturbance_moves_the_prediction_over_samples_that_are_missing
             found = [run.get(f"{part}.{name}") for part in ("filtered", "estimate") for name in ("x1", "x2", "force")]
             expected = [1 + t**2, 2 * t, 2, 1 + (t + 0.01) ** 2, 2 * (t + 0.01), 2]
             np.testing.assert_allclose(found, expected, rtol=0, atol=5e-12, err_msg=str(k))
+
+
+@pytest.mark.parametrize(
+    ("options", "slowest"),
+    [
+        ({"poles": [-2.0, -5.0]}, 2.0),
+        ({"poles": [-3 + 4j, -3 - 4j]}, 3.0),
+        ({"poles": [-400.0, -500.0]}, 400.0),
+        ({}, 10.0),
+        ({"gain": "regional", "alpha": 0.5}, 0.5),
+    ],
+)
+def test_the_fault_detector_waits_for_time_constants_of_the_slowest_pole(options: dict, slowest: float) -> None:
+    """Five of them, and twenty samples at least, until it is armed; five samples until a fault is detected."""
+    made = canonical_dae(DOUBLE_INTEGRATOR, sample_time=TS, **options)
+    starts = {port.name: port.start for port in made.parameters}
+    assert starts["tuning.fault_settling"] == pytest.approx(max(5 / slowest, 20 * TS), rel=1e-15, abs=0)
+    assert starts["tuning.fault_persistence"] == pytest.approx(5 * TS, rel=1e-15, abs=0)
+
+
+@pytest.mark.parametrize("form", ["w", "bdf"])
+def test_five_samples_in_a_row_that_no_state_explains_start_it_again_from_the_guess(form: str) -> None:
+    """Until then it keeps the prediction, and one sample in between that fits begins the count anew."""
+    square = Model(
+        name="square",
+        states=[Variable("a", start=2.0, min=0.5, max=3.0)],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [0 * x.a],
+        output=lambda x, u, p, t: [x.a**2],
+    )
+    run = Instance(canonical_dae(square, sample_time=TS, form=form))
+    for k in range(13):
+        run.set("y", -1.0 if k in range(3, 7) or k >= 8 else 1.0)
+        run.step(k * TS, TS)
+        assert run.get("diagnostics.restarts") == (k == 12)
+        assert run.get("estimate.a") == pytest.approx(2.0 if k == 12 else 1.0, rel=1e-14, abs=0)
+    assert run.get("diagnostics.solver_failures") == 9

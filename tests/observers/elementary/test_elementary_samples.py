@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from observers.elementary import elementary
-from observers.elementary.identifiability import least_visible
+from observers.elementary.identifiability import describe, least_visible
 from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.status import CODE
@@ -125,3 +125,23 @@ def test_the_visibility_is_that_along_the_inputs_and_the_time_of_the_window() ->
     visibility, direction = least_visible(model, N)(*blank, *inputs)
     expected = math.sqrt(np.sum(there * (3 * 2.0 / 4.0 * moved) ** 2) / (N - 1))
     assert float(visibility) == pytest.approx(expected, rel=1e-13) and float(direction) == 2.0
+
+
+@pytest.mark.parametrize("first", [True, False], ids=["first", "last"])
+def test_the_windows_samples_are_at_their_times(first: bool) -> None:
+    """A state that the output shows at one end of the window only is determined; one that it shows outside the window is not."""
+    N, s = 11, 0.1
+    end = 0.0 if first else (N - 1) * s
+
+    def seen(border: float) -> str:
+        model = Model(
+            name="gated",
+            states=[Variable("a", start=1.0), Variable("b", start=1.0)],
+            outputs=[Variable("y")],
+            ode=lambda x, u, p, t: [-0.1 * x.a, -0.1 * x.b],
+            output=lambda x, u, p, t: [x.a + ca.if_else(t < border if first else t > border, x.b, 0)],
+        )
+        return describe(model, N, s)
+
+    outward = -s if first else s
+    assert seen(end - outward / 2) == "" and seen(end + outward / 2) == "b + c"

@@ -291,3 +291,8 @@ def test_a_weight_in_both_ways_and_a_process_noise_are_refused_by_name():
     ):
         with pytest.raises(ValueError, match=words):
             least_squares(CHEN_YEN, sample_time=0.01, T=0.25, **tuning)
+
+
+def test_the_time_between_resets_may_be_the_shortest_sample_time() -> None:
+    made = least_squares(CHEN_YEN, sample_time=1e-6, T=1e-6)
+    assert {port.name: port.min for port in made.parameters}["tuning.T"] == 1e-6

@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_are
 
 from high_precision import EPS, algebraic_riccati, condition, exponential, relative, riccati_flow
-from observers.least_squares.spectral import norm_bound
 from observers.numerics.linear import qr_solve
 from observers.numerics.riccati import propagator, riccati_step
 from observers.riccati.correction import correction
@@ -170,13 +169,3 @@ def test_a_correction_is_bayes_rule_and_leaves_rejected_outputs_out():
         assert float(distance) == pytest.approx(r[rows] @ np.linalg.solve(S, r[rows]), rel=1e-13)
         np.testing.assert_allclose(Q_after, np.linalg.inv(information), rtol=0, atol=7e-14)
         np.testing.assert_allclose(m_after.full().ravel(), m + gain @ r[rows], rtol=0, atol=2e-14)
-
-
-@pytest.mark.parametrize("n", [1, 2, 6, 30])
-def test_the_norms_bound_is_above_the_norm_by_a_third_of_a_percent_at_most(n):
-    for scale in (1e-60, 1.0, 1e60):
-        X = scale * np.random.default_rng(n).normal(size=(n, n))
-        norm = np.linalg.norm(X, 2)
-        found = float(norm_bound(n)(X))
-        assert norm * (1 - 1e-12) <= found <= 1.0034 * norm
-    assert float(norm_bound(n)(np.zeros((n, n)))) == 0

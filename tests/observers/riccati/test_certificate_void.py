@@ -63,7 +63,13 @@ def test_a_certificate_that_is_void_does_not_come_back(cause: str) -> None:
     assert first[0] != NONE and first[1] > 0
     for k in range(8):
         if k in (3, 4):
-            usual = {"measurement_valid.y": 1.0, "y": 0.1, "u": 1.0, "parameter.k": 1.0, "tuning.N.x": N}
+            usual = {
+                "measurement_valid.y": 1.0,
+                "y": 0.1,
+                "u": 1.0 if k == 3 else -1.0,
+                "parameter.k": 1.0,
+                "tuning.N.x": N,
+            }
             for name, value in (usual | (CAUSES.get(cause, {}) if k == 3 else {})).items():
                 run.set(name, value)
         run.step(0.1 * k, 0.1)
@@ -90,6 +96,19 @@ def test_the_radius_and_the_rates_are_the_papers_of_their_constants() -> None:
             rate = r0 / (2 * found["q"]) * (1 - distance / found["rho"])
             code, shown = certificate(Instance(made(design), {"tuning.initial_error": error}))
             assert code == INSIDE and shown == pytest.approx(rate, rel=1e-7)
+
+
+def test_a_design_by_deviations_has_the_certificate_of_the_matrices_that_it_says() -> None:
+    """N N' = diag(process_noise^2), R R' / Ts = diag(measurement_noise^2), Q0 = diag(initial_std^2)."""
+    by_name = riccati(
+        CURVED,
+        sample_time=0.1,
+        process_noise={"x": N},
+        measurement_noise={"y": R / math.sqrt(0.1)},
+        initial_std={"x": math.sqrt(Q0)},
+    )
+    found, expected = ({port.name: port.start for port in one.constants} for one in (by_name, made()))
+    assert found == pytest.approx(expected, rel=2e-8)
 
 
 def test_the_rate_from_anywhere_is_that_of_delta_where_it_is_the_faster_one() -> None:

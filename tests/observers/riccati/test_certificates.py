@@ -1,5 +1,6 @@
 """The certificates of James & Baras: against exact fractions, scipy, brute force, and along runs."""
 
+import itertools
 import math
 from fractions import Fraction
 
@@ -7,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
+from scipy.optimize import minimize_scalar
 
 from observers.instance import Instance
 from observers.model import Model, Variable
@@ -84,8 +86,9 @@ def test_the_bounds_of_the_model_bound_the_guess_error():
     assert certified(**{"tuning.initial_error": 1e6}) == certified()
     # On the way between: x2 = 0, and x1 so that the distance is rho.
     edge = math.sqrt(rho**2 - bound**2) - bound
-    assert certified(**{"guess.x1": edge - 1e-6})[0] == INSIDE
-    assert certified(**{"guess.x1": edge + 1e-6})[0] == OUTSIDE
+    for side, name in itertools.product((1, -1), ("guess.x1", "guess.x2")):
+        assert certified(**{name: side * (edge - 1e-6)})[0] == INSIDE
+        assert certified(**{name: side * (edge + 1e-6)})[0] == OUTSIDE
 
 
 def test_the_constants_are_rounded_outward():
@@ -224,3 +227,18 @@ def test_where_every_state_is_measured_Q_is_bounded_without_detectability_of_A()
     # A = 1 + 0.2 x <= 1.2, H = 2: q solves 2.4 q - 4 q^2 + 1 = 0.
     assert found["q"] <= (1.2 + math.sqrt(1.2**2 + 4)) / 4 * (1 + 1e-6)
     assert found["rho"] > 0
+
+
+def test_Lambda_is_the_multiple_of_H_with_the_smallest_bound():
+    """(3.7) of a scalar model, minimised by scipy over s: 121 multiples are tried."""
+    a, h, N, Q0 = 0.1, 0.7, 1.3, 0.2
+    model = Model(
+        name="slow",
+        states=[Variable("x")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-a * x.x],
+        output=lambda x, u, p, t: [h * x.x],
+    )
+    found = constants(riccati(model, sample_time=0.1, N=N, R=1.0, Q0=Q0))
+    best = minimize_scalar(lambda s: (N**2 + (s * h) ** 2) / (2 * (a + s * h**2)), bounds=(0, 100)).fun
+    assert Q0 + best <= found["q_paper"] <= (Q0 + best) * (1 + 3e-3)
