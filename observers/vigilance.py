@@ -213,7 +213,7 @@ def verdict(
     level, peak = _learned(watch, s, mean, dof, loud)
     # What starts again before it knows its noise starts to learn it again, too.
     # So does what has learned it from a start that went wrong, and finds all samples since far quieter.
-    early = 0 if watch.known or watch.weighted else s.learnt < PROVEN + FINDING
+    early = 0 if watch.known or watch.weighted else s.learnt < PROVEN
     hush = ca.if_else(dof > 0, ca.if_else(mean < s.level / 4, s.hush + 1, 0), s.hush)
     fresh = ca.logic_and(early, ca.logic_or(again, hush >= HUSHED))
     after = watch.state.pack(
