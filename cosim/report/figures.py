@@ -23,6 +23,7 @@ ROW, TALL = 210, 330  # heights of a figure in pixels
 MOST = 8  # curves in one figure
 USUAL = (0.02, 0.98)  # quantiles between which an axis is never cut
 FAR = 3.0  # spans of these quantiles: what is farther off is a spike, at which the axis is cut
+NARROW = 0.05  # of the median: an axis that is cut shows as much to either side at least, or a constant would fill it with its rounding
 LEAST = 1e-16  # on a logarithmic axis
 
 
@@ -77,8 +78,9 @@ class Axes:
         span = last - first
         if span > 0 and not self.log and (high > last + FAR * span or low < first - FAR * span):
             must = np.concatenate([v[np.isfinite(v)] for v in self.whole] or [np.array([first])])
-            low = min(max(low, first - span / 2), float(must.min()))
-            high = max(min(high, last + span / 2), float(must.max()))
+            around = max(span / 2, NARROW * abs(float(np.median(seen))))
+            low = min(max(low, first - around), float(must.min()))
+            high = max(min(high, last + around), float(must.max()))
         pad = 0.06 * (high - low) or 0.06 * abs(high) or 1.0
         self.figure.y_range = Range1d(float(back(low - pad)), float(back(high + pad)))
         return bool(low > least or high < most)

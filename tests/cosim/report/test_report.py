@@ -119,6 +119,16 @@ def test_a_spike_of_an_estimate_does_not_ruin_its_axis_and_one_of_the_truth_is_s
         assert top.y_range.end > result["plant.x.x1"].max() and top.y_range.start < result["plant.x.x1"].min()
 
 
+def test_a_constant_that_was_found_exactly_is_a_line_on_an_axis_of_some_width(duffing_system: Path) -> None:
+    result = run(duffing_system)
+    values = result.values.copy()
+    values[:, result.names.index("plant.x.theta")] = 0.4
+    values[:, result.names.index("observer.estimate.theta")] = 0.4 + 1e-12 * np.arange(len(values))
+    values[0, result.names.index("observer.estimate.theta")] = 50.0
+    shown = figures(dataclasses.replace(result, values=values))[2].y_range
+    assert shown.start < 0.39 and 0.41 < shown.end < 1.0
+
+
 def test_the_band_is_two_standard_deviations_about_the_estimate(duffing_system: Path) -> None:
     result = run(duffing_system)
     (band,) = [r for r in figures(result)[0].renderers if hasattr(r.glyph, "fill_alpha")]
