@@ -28,7 +28,7 @@ import casadi as ca
 from observers import ports
 from observers.component import Port
 from observers.model import Model, Variable
-from observers.numerics.consistency import memory_size, tested
+from observers.numerics.consistency import HUSH, HUSHED, memory_size, tested
 from observers.numerics.finite import HUGE, finite
 from observers.numerics.layout import Layout
 from observers.status import CODE, worst
@@ -59,7 +59,6 @@ HEARD_BY_DESIGN = 2.0  # the same of a paper's design, whose innovations die awa
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
 SPELL = 100  # samples of a spell of contradictions until the covariance, then the estimate, starts again; after each, twice as many
 TAUGHT = 5  # samples, far off each, that acted: what they taught is forgotten once there are no more
-HUSHED = 16  # samples in a row below a quarter of the level: of Gaussian ones they are one start in a million
 MOST_SPELLS = 20  # doublings
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
@@ -214,7 +213,7 @@ def verdict(
     # What starts again before it knows its noise starts to learn it again, too.
     # So does what has learned it from a start that went wrong, and finds all samples since far quieter.
     early = 0 if watch.known or watch.weighted else s.learnt < PROVEN
-    hush = ca.if_else(dof > 0, ca.if_else(mean < s.level / 4, s.hush + 1, 0), s.hush)
+    hush = ca.if_else(dof > 0, ca.if_else(mean < HUSH * s.level, s.hush + 1, 0), s.hush)
     fresh = ca.logic_and(early, ca.logic_or(again, hush >= HUSHED))
     after = watch.state.pack(
         {

@@ -24,6 +24,7 @@ from observers.pseudospectral.method import Method
 
 LEARNT = 20  # samples after which the learned noise is used
 MEMORY = 100  # samples that it is learned from
+EARLY = 60  # samples, the first that the noise is learned from: what they learned may have been wrong
 SLOWLY = 500  # the same while the samples are inconsistent: noise that has changed for good is believed in the end
 SMALLEST = 1e-5  # noise that is learned, relative to the nominal value: below, it is the collocation's error
 RUN = 2  # samples for which the tests of the last ones must fail: one outlier alone may let them
@@ -56,6 +57,7 @@ def state(method: Method) -> dict[str, int]:
         "noise_factor": 1,
         "fit_factor": 1,
         "learnt": 1,
+        "hush": 1,
         "doubt": 1,
         "trouble": 1,
         "heavy": 1,
@@ -161,10 +163,21 @@ def _doubtful(method: Method, s: Any) -> Any:
 
 
 def _learned(method: Method, s: Any, alone: Any, valid: Any, inconsistent: Any) -> dict[str, Any]:
-    """The factor of all noise, from the innovations' mean square `alone` in units of their covariance."""
+    """The factor of all noise, from the innovations' mean square `alone` in units of their covariance.
+
+    What was learned from a start that went wrong, and finds all samples since far quieter, is learned again.
+    """
     counts = ca.logic_and(s.k > method.samples, ca.logic_and(ca.sum1(valid) > 0, alone < HUGE))
     factor = _followed(method, s, s.noise_factor, alone, counts, inconsistent)
-    return {"noise_factor": factor, "learnt": s.learnt + (0 if method.noise_given else counts)}
+    if method.noise_given or not method.weighted:
+        return {"noise_factor": factor, "learnt": s.learnt + (0 if method.noise_given else counts), "hush": s.hush}
+    hush = ca.if_else(counts, ca.if_else(alone < consistency.HUSH * s.noise_factor, s.hush + 1, 0), s.hush)
+    again = ca.logic_and(hush >= consistency.HUSHED, s.learnt < EARLY)
+    return {
+        "noise_factor": factor,
+        "learnt": ca.if_else(again, 0, s.learnt + counts),
+        "hush": ca.if_else(again, 0, hush),
+    }
 
 
 def _followed(method: Method, s: Any, factor: Any, value: Any, counts: Any, inconsistent: Any) -> Any:

@@ -101,3 +101,14 @@ def test_an_unknown_corruption_is_one_message() -> None:
     found = subprocess.run(command, capture_output=True, text=True)
     assert found.returncode == 2
     assert "corruption 'wrong' is unknown; known: outlier" in found.stderr
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["ukf", "riccati", "pseudospectral"])
+def test_a_start_that_went_wrong_does_not_keep_the_noise_too_large(method: str) -> None:
+    """The reactor that ignites, everything at its default: at first each filter is thrown off, and learns a noise of a thousand times."""
+    entry = ENTRIES[f"igniting_reactor_{method}"]
+    scenario, component = entry.scenario(), entry.make()
+    tried = Tried(component, entry.parameters, sampled(component, scenario.sample_time))
+    _, clean = limits(tried, Streams(scenario), range(3))
+    assert clean.alarms < 0.02

@@ -230,6 +230,26 @@ def test_the_scale_is_that_of_the_first_thirty_samples_the_later_ones_most_and_h
     assert (said.factor >= expected).all() and (said.factor < 1.1 * expected).all()
 
 
+@pytest.mark.parametrize("begun", [1, 12, 40])
+def test_a_scale_learned_from_a_start_that_went_wrong_is_learned_again(begun: int) -> None:
+    """After `begun` absurd samples sixteen that are far quieter; thirty later the deviations are in their scale, a third."""
+    watched = Watched(known=False)
+    for _ in range(begun):
+        watched((1e6, 1e6))
+    watched.calm(16 + 30)
+    np.testing.assert_allclose(watched((1 / 3, -1 / 3)).factor, 1 / 3, rtol=0.05)
+
+
+def test_a_scale_that_was_right_for_long_is_not_learned_again() -> None:
+    """A sensor that is stuck is quiet, too."""
+    watched = Watched(known=False, samples=100)
+    before = watched((1 / 3, -1 / 3)).factor
+    for _ in range(30):
+        after = watched((0.0, 0.0))
+    assert after.status != CODE.settling
+    np.testing.assert_array_less(0.7 * before, after.factor)
+
+
 def test_deviations_of_a_given_noise_are_the_filters_own() -> None:
     watched = Watched()
     for k in range(60):
