@@ -8,7 +8,7 @@ An innovation nu (ny) of covariance S is tested in three ways, each in units of 
   clipped nu' S^-1 nu / dof above a drift. The covariance starts again around the estimate; where that does not help, the estimate starts
   again at the guess. Where it comes back before the samples fit, starting again did not help: the next time takes twice as much of it.
 - What was learned from samples that contradicted the estimate is worth nothing once they have ended, and a covariance that they made small
-  keeps it for very long: where a spell of them ends, the covariance starts again too, and so it does where one lasts.
+  keeps it for very long: where a spell of them ends, the covariance starts again too, and so it does where one lasts, but not for ever.
 
 Where nobody says what the measurement noise is, the matrices of a design fix the gain only: scaled all by one factor, they give the same
 estimate. The factor is estimated from the innovations, `level`, and the deviations shown are in its scale. While the samples contradict the
@@ -57,9 +57,9 @@ MEMORY = 100  # samples, of `level`
 HEARD = 4.0
 HEARD_BY_DESIGN = 2.0  # the same of a paper's design, whose innovations die away slowly
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
-SPELL = 100  # samples of a spell of contradictions until the covariance, then the estimate, starts again; after each, twice as many
+SPELL = 100  # samples of contradictions until the covariance starts again; the second time, twice as many
 TAUGHT = 5  # samples, far off each, that acted: what they taught is forgotten once there are no more
-MOST_SPELLS = 20  # doublings
+MOST_SPELLS = 2  # times, until it is trusted again
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
 ROUNDING = 1e-9  # of a nominal value: what an innovation is at least
@@ -194,11 +194,13 @@ def verdict(
     doubt = ca.if_else(doubtful, ca.fmax(s.doubt + ratio - DRIFT, 0), s.doubt)
     mild = doubt > THRESHOLD * 2**s.tries
     lost = ca.logic_or(mild, row >= ROW * 2 ** ca.fmin(s.tries, 3))
-    misled = s.taught >= TAUGHT
-    long = ca.logic_and(misled, s.spell >= SPELL * 2**s.spells)
-    ended = ca.logic_and(misled, ca.logic_and(s.quiet == EARNED - 1, ca.logic_not(raised)))
+    # Each time without trust since makes it twice as long until the next: of a model that is a little wrong there is no end.
+    misled = ca.logic_and(s.taught >= TAUGHT, s.spells < MOST_SPELLS)
+    long = ca.logic_and(misled, ca.logic_and(s.quiet < EARNED, s.spell >= SPELL * 2**s.spells))
+    fits = ca.logic_and(s.quiet == EARNED - 1, ca.logic_not(raised))
+    ended = ca.logic_and(misled, ca.logic_and(fits, s.spell >= (EARNED + 5) * 2**s.spells))
     again = ca.logic_and(ca.logic_or(ca.logic_or(lost, long), ended), tuning.gate < NEVER)
-    restart = ca.logic_and(again, ca.if_else(lost, s.turn, ca.if_else(long, ca.fmod(s.spells, 2), 0)))
+    restart = ca.logic_and(again, ca.logic_and(lost, s.turn))
     contradicted = ca.logic_or(raised, ca.logic_and(again, ca.logic_or(lost, long)))
     quiet = ca.if_else(contradicted, 0, ca.fmin(s.quiet + (dof > 0), SLOWLY_EARNED))
     earned = ca.logic_or(s.earned, quiet >= (SLOWLY_EARNED if watch.weighted else EARNED))
@@ -231,9 +233,9 @@ def verdict(
             "tries": tries,
             "row": ca.if_else(again, 0, row),
             "turn": turn,
-            "spell": ca.if_else(ca.logic_or(again, quiet >= EARNED), 0, s.spell + (dof > 0)),
+            "spell": ca.if_else(ca.logic_or(again, distrust <= LOSS), 0, s.spell + (dof > 0)),
             "taught": ca.if_else(again, 0, s.taught + ca.logic_and(result.alone, ca.logic_not(gross))),
-            "spells": ca.if_else(distrust <= LOSS, 0, ca.fmin(s.spells + ca.logic_and(again, long), MOST_SPELLS)),
+            "spells": ca.if_else(distrust <= LOSS, 0, s.spells + ca.logic_and(again, ca.logic_or(long, ended))),
             "restarted": ca.logic_or(s.restarted, ca.logic_and(again, ca.logic_not(fresh))),
         }
     )
