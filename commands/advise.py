@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from build_fmus import namespace_of
-from commands.console import err, fail, say, split_assignments
+from commands.console import err, fail, plain, say, split_assignments
 from cosim.errors import number, one_line
 from cosim.interrupts import interrupts_noticed
 from observers.component import Component
@@ -51,6 +51,8 @@ def advise(
     sample_time: Annotated[
         float | None,
         typer.Option(
+            metavar="SECONDS",
+            parser=plain,
             help="Seconds between samples, or between the rows of a log without times.",
             show_default="by the model, or the log's",
         ),

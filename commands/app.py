@@ -12,10 +12,9 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from commands.console import say
+from commands.console import NAME, say
 from observers import __version__
 
-NAME = "observer-fmus"
 VERBS = (
     "new",
     "gallery",

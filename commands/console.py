@@ -16,6 +16,7 @@ from rich.text import Text
 
 from cosim.errors import number, one_line
 
+NAME = "observer-fmus"
 SHOW_PROGRESS_AFTER = 1.5  # [s]
 SHORTEST_CALL = 0.1  # [s] that a call may be limited to
 SHOWN = 300  # characters of what an FMU says

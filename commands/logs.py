@@ -19,6 +19,14 @@ SampleTime = Annotated[
         show_default=False,
     ),
 ]
+Mapped = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="INPUT=COLUMN",
+        help="The column that feeds an input, or holds the time (time=COLUMN). May be repeated.",
+    ),
+]
 Separator = Annotated[
     str | None,
     typer.Option(help="Between the cells: ',', ';', '|', ' ' or tab.", show_default="found from the file"),

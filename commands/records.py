@@ -14,13 +14,12 @@ import numpy as np
 import typer
 from rich.table import Table as ConsoleTable
 
-from commands.console import out
+from commands.console import NAME, out
 from cosim.report.estimates import Pair, pairs
 from cosim.report.observed import deviation_of
 from cosim.report.page import Table
 from cosim.results import Result, write_csv, write_legend, write_parquet
 
-NAME = "observer-fmus"
 COLUMNS = ("estimate", "unit", "median error", "largest, second half", "last", "within 2 std")
 
 

@@ -11,7 +11,18 @@ import typer
 from rich.text import Text
 
 from commands.console import SHOWN, CallLimit, ParameterSet, fail, late_progress, out, split_assignments
-from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, how_read, reading
+from commands.logs import (
+    Decimal,
+    Encoding,
+    Mapped,
+    Missing,
+    SampleTime,
+    Separator,
+    SkipBadRows,
+    SkipLines,
+    how_read,
+    reading,
+)
 from commands.records import Format, RecordFormat, command_html, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.fmu import Value, read_description
@@ -41,14 +52,7 @@ def replay(
         ),
     ] = None,
     sample_time: SampleTime = None,
-    mapped: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map",
-            metavar="INPUT=COLUMN",
-            help="The column that feeds an input, or holds the time (time=COLUMN). May be repeated.",
-        ),
-    ] = None,
+    mapped: Mapped = None,
     assignments: Annotated[
         list[str] | None,
         typer.Option(

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from commands.console import CallLimit, fail, late_progress, out, split_assignments
-from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, reading
+from commands.logs import Decimal, Encoding, Mapped, Missing, SampleTime, Separator, SkipBadRows, SkipLines, reading
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
@@ -50,14 +50,7 @@ def tune(
         typer.Option(metavar="FILE.ssv", help="Start the search from these values.", show_default="the FMU's own"),
     ] = None,
     sample_time: SampleTime = None,
-    mapped: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map",
-            metavar="INPUT=COLUMN",
-            help="The column that feeds an input, or holds the time (time=COLUMN). May be repeated.",
-        ),
-    ] = None,
+    mapped: Mapped = None,
     assignments: Annotated[
         list[str] | None,
         typer.Option(

@@ -28,7 +28,7 @@ import casadi as ca
 from observers import ports
 from observers.component import Port
 from observers.model import Model, Variable
-from observers.numerics.consistency import HUSH, HUSHED, memory_size, tested
+from observers.numerics.consistency import HUSHED, hushed, memory_size, tested
 from observers.numerics.finite import HUGE, finite
 from observers.numerics.layout import Layout
 from observers.status import CODE, worst
@@ -215,7 +215,7 @@ def verdict(
     # What starts again before it knows its noise starts to learn it again, too.
     # So does what has learned it from a start that went wrong, and finds all samples since far quieter.
     early = 0 if watch.known or watch.weighted else s.learnt < PROVEN
-    hush = ca.if_else(dof > 0, ca.if_else(mean < HUSH * s.level, s.hush + 1, 0), s.hush)
+    hush = hushed(s.hush, mean, s.level, dof > 0)
     fresh = ca.logic_and(early, ca.logic_or(again, hush >= HUSHED))
     after = watch.state.pack(
         {

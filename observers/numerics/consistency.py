@@ -26,6 +26,11 @@ WINDOWS = (5, 20, 60)  # samples
 HUSHED, HUSH = 16, 0.25
 
 
+def hushed(count: Any, value: Any, usual: Any, there: Any) -> Any:
+    """How many samples in a row were far quieter than usual: `count` until now, then one of `value`, if it is `there` at all."""
+    return ca.if_else(there, ca.if_else(value < HUSH * usual, count + 1, 0), count)
+
+
 def chi_square_quantile(dof: Any, false_alarm: Any) -> Any:
     """What a chi-square variable with `dof` degrees of freedom (any number above 0) exceeds with probability `false_alarm`.
 

@@ -171,7 +171,7 @@ def _learned(method: Method, s: Any, alone: Any, valid: Any, inconsistent: Any) 
     factor = _followed(method, s, s.noise_factor, alone, counts, inconsistent)
     if method.noise_given or not method.weighted:
         return {"noise_factor": factor, "learnt": s.learnt + (0 if method.noise_given else counts), "hush": s.hush}
-    hush = ca.if_else(counts, ca.if_else(alone < consistency.HUSH * s.noise_factor, s.hush + 1, 0), s.hush)
+    hush = consistency.hushed(s.hush, alone, s.noise_factor, counts)
     again = ca.logic_and(hush >= consistency.HUSHED, s.learnt < EARLY)
     return {
         "noise_factor": factor,
