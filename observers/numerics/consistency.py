@@ -27,8 +27,11 @@ HUSHED, HUSH = 16, 0.25
 
 
 def hushed(count: Any, value: Any, usual: Any, there: Any) -> Any:
-    """How many samples in a row were far quieter than usual: `count` until now, then one of `value`, if it is `there` at all."""
-    return ca.if_else(there, ca.if_else(value < HUSH * usual, count + 1, 0), count)
+    """How many samples in a row were far quieter than usual: `count` until now, then one of `value`, if it is `there` at all.
+
+    Where the usual is no louder than the design took the noise to be, 1, nothing loud was learned: exact samples grow quieter for long.
+    """
+    return ca.if_else(there, ca.if_else(ca.logic_and(usual > 1, value < HUSH * usual), count + 1, 0), count)
 
 
 def chi_square_quantile(dof: Any, false_alarm: Any) -> Any:

@@ -240,6 +240,13 @@ def test_a_scale_learned_from_a_start_that_went_wrong_is_learned_again(begun: in
     np.testing.assert_allclose(watched((1 / 3, -1 / 3)).factor, 1 / 3, rtol=0.05)
 
 
+def test_samples_that_grow_ever_quieter_are_no_reason_to_learn_again() -> None:
+    """Those of a sensor without noise do, while the estimate converges."""
+    watched = Watched(known=False)
+    said = [watched(np.array([1, -1]) * 0.7**k).status for k in range(90)]
+    assert CODE.settling not in said[30:]
+
+
 def test_a_scale_that_was_right_for_long_is_not_learned_again() -> None:
     """A sensor that is stuck is quiet, too."""
     watched = Watched(known=False, samples=100)
