@@ -2,6 +2,7 @@
 
 from fmu_src.errors import ExportError, ExportWarning
 from fmu_src.export import export
+from fmu_src.plant import PlantFMU
 from fmu_src.platforms import PLATFORMS
 
-__all__ = ["PLATFORMS", "ExportError", "ExportWarning", "export"]
+__all__ = ["PLATFORMS", "ExportError", "ExportWarning", "PlantFMU", "export"]

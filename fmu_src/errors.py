@@ -1,4 +1,6 @@
-"""What can go wrong when a component is exported."""
+"""What can go wrong when a component is exported, or made for a plant that is an FMU."""
+
+from observers.expressions import ModelError
 
 
 class ExperimentFailed(ValueError):
@@ -11,3 +13,7 @@ class ExportWarning(UserWarning):
 
 class ExportError(ValueError):
     """The component cannot become an FMU; the message names the component, the variable or function, and why."""
+
+
+class PlantError(ModelError):
+    """A foreign FMU cannot be the plant of an observer; the message names the file, and why."""

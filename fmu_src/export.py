@@ -17,6 +17,8 @@ from fmu_src.errors import ExperimentFailed, ExportError, ExportWarning
 from fmu_src.native.compiler import check_compiler, compile_library
 from fmu_src.native.embedded import embedded
 from fmu_src.native.sources import fixed_sources, functions, prefix, tables
+from fmu_src.plant.guest import guest_of, libraries
+from fmu_src.plant.sources import plant_sources
 from fmu_src.platforms import PLATFORMS, resolve
 from fmu_src.python import target as python_target
 from observers.component import Component
@@ -62,19 +64,27 @@ def export(
 
 def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
     """GUID and contents by path."""
-    folders = resolve(platforms)
+    guest = guest_of(component)
+    folders = guest.platforms(platforms) if guest else resolve(platforms)
     check_compiler()
-    constant = fixed_sources() | prefix(component) | functions(component)
+    constant = fixed_sources() | prefix(component) | functions(component, guest.name if guest else "")
+    inside: dict[str, bytes] = {}
+    if guest:
+        constant |= plant_sources() | {"plant_tables.c": guest.tables}
+        inside = guest.resources(folders)
+    capabilities = guest.plant.capabilities if guest else {}
     source_files = sorted(name for name in [*constant, "component.c"] if name.endswith(".c"))
     without_guid = {
         **constant,
-        **tables(component, guid=""),
-        "modelDescription.xml": describe(component, guid="", source_files=source_files),
+        **inside,
+        **tables(component, guid="", plant=guest is not None),
+        "modelDescription.xml": describe(component, "", source_files, capabilities),
     }
     guid = _content_guid(without_guid)
-    code = constant | tables(component, guid)
+    code = constant | tables(component, guid, plant=guest is not None)
     contents = {
-        "modelDescription.xml": describe(component, guid, source_files),
+        "modelDescription.xml": describe(component, guid, source_files, capabilities),
+        **inside,
         **{f"sources/{name}": content for name, content in (code | embedded(component)).items()},
     }
     with tempfile.TemporaryDirectory() as scratch:
@@ -82,12 +92,19 @@ def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[s
             (Path(scratch) / name).write_bytes(content)
         for folder in folders:
             library = f"{component.name}{PLATFORMS[folder].suffix}"
-            contents[f"binaries/{folder}/{library}"] = compile_library(component.name, Path(scratch), folder)
+            contents[f"binaries/{folder}/{library}"] = compile_library(
+                component.name, Path(scratch), folder, *((libraries(folder),) if guest else ())
+            )
     return guid, contents
 
 
 def _python(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
     """GUID and contents by path."""
+    guest = guest_of(component)
+    if guest:
+        raise ExportError(
+            f"component '{component.name}' asks the FMU {guest.plant.file}, which the target 'python' cannot: take 'native'"
+        )
     folders = [name for name in resolve(platforms) if name in python_target.LIBRARIES or "all" not in platforms]
     resources = python_target.resources(component)
     without_guid = {

@@ -26,6 +26,10 @@ import numpy as np
 from observers.expressions import ModelError, described, evaluated
 from observers.numerics.equations import Equations
 
+# CasADi 3.8.2 takes a vector argument of a call that mixes two inputs at consecutive places for a piece of one of them, and writes C that
+# reads the wrong numbers: every call of a parameter beside an estimated one. Vectors that are always copied are right.
+ca.GlobalOptions.setCopyElisionMinSize(-1)
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 # The first parts of the structured names in our FMUs: a tool that builds a tree of them cannot have a variable of that name beside.
 BRANCHES = frozenset(
@@ -176,7 +180,8 @@ class Model:
             for variable in variables:
                 if not _NAME.match(variable.name) or keyword.iskeyword(variable.name):
                     raise ModelError(f"model '{self.name}': {group} name {variable.name!r} is not an identifier")
-                if variable.name in seen:
+                # A sensor may have the name of the state that it shows: nothing of the two is ever looked up in one place.
+                if variable.name in seen and not (group == "output" and seen[variable.name] == "state"):
                     raise ModelError(
                         f"model '{self.name}': the name '{variable.name}' stands for a {seen[variable.name]} and a {group}"
                     )

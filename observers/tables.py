@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from observers.model import Model, ModelError, Variable
+from observers.numerics.operations import calls
 
 FAR = 1e9  # nominal values, of a variable without a bound
 
@@ -55,15 +56,6 @@ def _corners(variables: list[Variable]) -> Iterator[dict[str, float]]:
 
 def _tables(expression: ca.SX) -> Iterator[tuple[ca.Function, ca.SX]]:
     """The tables of one argument that `expression` calls, each with its argument."""
-    seen, todo = set(), [expression]
-    while todo:
-        node = todo.pop()
-        if node.element_hash() in seen:
-            continue
-        seen.add(node.element_hash())
-        todo += [node.dep(i) for i in range(node.n_dep())]
-        if node.op() == ca.OP_CALL and node.n_dep() == 1:
-            function = node.which_function()
-            for inner in [function, *function.find_functions()]:
-                if inner.class_name() == "BSplineInterpolant":
-                    yield inner, node.dep(0)
+    for function, node in calls(expression):
+        if function.class_name() == "BSplineInterpolant" and node.n_dep() == 1:
+            yield function, node.dep(0)

@@ -23,6 +23,8 @@ EXTERNAL = (
     "/* External functions */"  # CasADi's comment above the declarations of functions that are linked from elsewhere
 )
 
+PLANT_CALLS = ("plant_open", "plant_begin", "plant_enter", "plant_words", "plant_close")  # in the order of component.h
+
 # CasADi gives every function the same five arguments, whether it needs them or not, and leaves addresses of what was local
 # in arrays that nobody reads again. From its loops that run once gcc concludes that a variable may never be set, from its checks for
 # null pointers that its work space may begin at address 0. Its code comes after the system's header, whose functions are not ours
@@ -128,8 +130,10 @@ def prefix(component: Component) -> dict[str, bytes]:
     return {"prefix.h": _PREFIX.format(name=component.name).encode()}
 
 
-def functions(component: Component) -> dict[str, bytes]:
+def functions(component: Component, plant: str = "") -> dict[str, bytes]:
     """`functions.c` and `functions.h`: <name>_start, <name>_flow, <name>_jump and <name>_output as CasADi writes them.
+
+    They may call external functions of the name `plant`, as <name>_plant_rate and the like.
 
     Raises:
         ExportError: C that CasADi cannot write in full, or that would share memory between instances.
@@ -144,9 +148,9 @@ def functions(component: Component) -> dict[str, bytes]:
         generator.generate(folder + "/")
         code = (Path(folder) / f"{name}.c").read_text()
         header = (Path(folder) / f"{name}.h").read_text()
-    if "#error" in code or EXTERNAL in code:
+    if "#error" in code or (EXTERNAL in code and not plant):
         raise ExportError(_cannot_generate(component))
-    if "CASADI_MAX_NUM_THREADS" in code:
+    if "[CASADI_MAX_NUM_THREADS]" in code:
         raise ExportError(
             f"component '{component.name}': a solver in it keeps its memory "
             "in static variables of the C code, which all instances would share"
@@ -154,6 +158,8 @@ def functions(component: Component) -> dict[str, bytes]:
     # CasADi has no option to name a function otherwise in C: its definition, its calls, and what belongs to it, such as start_SZ_W.
     ours = re.compile(rf"\b({'|'.join(component.functions)})(?=(_[A-Za-z_]+)?\(|_SZ_)")
     code, header = (ours.sub(rf"{component.name}_\1", text) for text in (code, header))
+    if plant:
+        code = re.sub(rf"\b(fwd1_)?{plant}_", rf"{component.name}_\1plant_", code)
     return {"functions.c": (_CASADI_HEAD + code + _CASADI_TAIL).encode(), "functions.h": header.encode()}
 
 
@@ -176,8 +182,11 @@ def _cannot_generate(component: Component) -> str:
     return f"component '{component.name}': CasADi cannot write C for the functions together"
 
 
-def tables(component: Component, guid: str) -> dict[str, bytes]:
-    """`component.c`: ports, sizes and clock for the shell. Value references: inputs, parameters, outputs, constants."""
+def tables(component: Component, guid: str, plant: bool = False) -> dict[str, bytes]:
+    """`component.c`: ports, sizes and clock for the shell. Value references: inputs, parameters, outputs, constants.
+
+    With a `plant` the component's functions call one, whose C is beside.
+    """
     rows = []
     for port in component.inputs:
         rows.append(_variable(port, "INPUT"))
@@ -212,6 +221,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "n_counters": len(counters),
         "failures": "failures" if component.failures else "NULL",
         "n_failures": len(component.failures),
+        "plant": "&plant_calls" if plant else "NULL",
         "start": f"{component.name}_start",
         "flow": f"{component.name}_flow",
         "jump": f"{component.name}_jump" if component.jump is not None else "NULL",
@@ -227,6 +237,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "",
         '#include "component.h"',
         '#include "functions.h"',
+        *(['#include "plant.h"'] if plant else []),
         "",
         "#define LARGER(a, b) ((a) > (b) ? (a) : (b))",
         "",
@@ -235,6 +246,7 @@ def tables(component: Component, guid: str) -> dict[str, bytes]:
         "};",
         *([f"static const size_t breaks[] = {{{', '.join(map(str, breaks))}}};"] if breaks else []),
         *([f"static const size_t counters[] = {{{', '.join(map(str, counters))}}};"] if counters else []),
+        *([f"static const PlantCalls plant_calls = {{{', '.join(PLANT_CALLS)}}};"] if plant else []),
         *([f"static const Failure failures[] = {{{', '.join(failures)}}};"] if failures else []),
         "",
         "const Component component = {",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
 import casadi as ca
 
@@ -19,3 +19,23 @@ def holds(expression: ca.SX, operations: Collection[int]) -> bool:
     """Whether one of the `operations` is in the expression."""
     function = ca.Function("expression", ca.symvar(expression), [expression])
     return any(function.instruction_id(k) in operations for k in range(function.n_instructions()))
+
+
+def calls(expression: ca.SX) -> Iterator[tuple[ca.Function, ca.SX]]:
+    """The functions that the expression calls by themselves, such as tables, each with the node that calls it."""
+    seen, todo = set(), list(ca.vertsplit(ca.vec(ca.densify(expression))))
+    while todo:
+        node = todo.pop()
+        if node.element_hash() in seen:
+            continue
+        seen.add(node.element_hash())
+        todo += [node.dep(i) for i in range(node.n_dep())]
+        if node.op() == ca.OP_CALL:
+            function = node.which_function()
+            for inner in [function, *function.find_functions()]:
+                yield inner, node
+
+
+def is_opaque(expression: ca.SX) -> bool:
+    """Whether a function is called in it whose code is elsewhere: values and first derivatives are all that there is of it."""
+    return any(function.class_name() == "External" for function, _ in calls(expression))

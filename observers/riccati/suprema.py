@@ -18,6 +18,7 @@ import numpy as np
 
 from observers.linearisation import Linearisation
 from observers.model import Model, Variable
+from observers.numerics.operations import is_opaque
 from observers.riccati.interval import IntervalError, Range, interval, ranges
 
 CELLS = 256  # into which the bounded region is cut, at most
@@ -45,6 +46,8 @@ def cells(model: Model, line: Linearisation) -> tuple[list[Cell], str]:
     region's corners stand for it: all that is bounded here is convex in A, hence largest at one of them.
     """
     n = len(line.variables)
+    if is_opaque(ca.vertcat(line.f, line.h)):
+        return [_unbounded(n, line)], "the plant is an FMU, of which there are no formulas"
     hessians = [[ca.hessian(e, line.m)[0] for e in ca.vertsplit(column)] for column in (line.f, line.h)]
     expressions = [line.A, line.C, *hessians[0], *hessians[1]]
     function = ca.Function("bounded", [line.m, line.u, line.p, line.t], expressions)
@@ -69,14 +72,23 @@ def cells(model: Model, line: Linearisation) -> tuple[list[Cell], str]:
         try:
             A, C, *rest = ranges(function, [box[:n], box[n:], parameters, [interval(-math.inf, math.inf)]])
         except IntervalError as error:
-            nowhere = [Range(np.zeros(e.shape), np.full(e.shape, np.inf)) for e in expressions]
-            return [Cell(nowhere[0], nowhere[1], nowhere[2 : 2 + n], nowhere[2 + n :])], str(error)
+            return [_unbounded(n, line)], str(error)
         found.append(Cell(A, C, rest[:n], rest[n:]))
         if not (np.all(np.isfinite(A.radius)) and np.all(np.isfinite(C.radius))):
             open_ = [v.name for v, depends in zip(variables, used, strict=True) if depends and not _is_bounded(v)]
             reason = f"A or Dh has no bound over {', '.join(open_) or 'the bounded region'}"
             reason += ", which the model does not bound" if open_ else ""
     return found, reason
+
+
+def _unbounded(n: int, line: Linearisation) -> Cell:
+    """A cell of which nothing is known."""
+
+    def anything(rows: int) -> Range:
+        return Range(np.zeros((rows, n)), np.full((rows, n), np.inf))
+
+    ny = line.h.numel()
+    return Cell(anything(n), anything(ny), [anything(n)] * n, [anything(n)] * ny)
 
 
 def upward(value: float) -> float:

@@ -2,8 +2,10 @@
 #ifndef COMPONENT_H
 #define COMPONENT_H
 
+#include <stdbool.h>
 #include <stddef.h>
 
+#include "fmi2Functions.h"
 #include "prefix.h"
 
 /* Like fmi2Functions.h does with the standard's names: so that several FMUs fit into one program. */
@@ -29,6 +31,18 @@ typedef struct {
     const char *measure; /* the name of the number that tells */
 } Failure;
 
+/* A plant that exists only as an FMU, which the component's functions call: what the shell does with it. */
+typedef struct {
+    /* The plant that lies in the importer's resources, or NULL, and why in `words`. */
+    void *(*open)(const char *resources, const char *name, const fmi2CallbackFunctions *callbacks, bool logging,
+                  void (*listen)(void *listener, fmi2Status status, const char *text), void *listener, char *words,
+                  size_t n_words);
+    bool (*begin)(void *plant, double t0);   /* a run, at t0 [s] */
+    void (*enter)(void *plant);              /* the functions called next are its owner's */
+    const char *(*words)(const void *plant); /* what it last failed in */
+    void (*close)(void *plant);
+} PlantCalls;
+
 typedef struct {
     const char *name;
     const char *guid;
@@ -45,6 +59,7 @@ typedef struct {
     size_t n_counters;
     const Failure *failures; /* by code from 1; (code, time, measure) are then the last three states, code 0: none */
     size_t n_failures;
+    const PlantCalls *plant;            /* or NULL */
     Function *start;                    /* (p, t0) -> z */
     Function *flow;                     /* (z, u, p, t, h) -> z */
     Function *jump;                     /* (z, u, p, t) -> z, or NULL */

@@ -20,6 +20,20 @@ void set_defaults(Instance *self)
     self->stale_start = true; /* and the outputs with it */
 }
 
+/* The function on self->arg and self->res; non-zero where it could not be evaluated. */
+int call(Instance *self, Function *function)
+{
+    if (component.plant)
+        component.plant->enter(self->plant);
+    return function(self->arg, self->res, self->iw, self->w, 0);
+}
+
+/* For the end of a message: what the plant failed in, if it is one that can fail. */
+const char *plant_trouble(const Instance *self)
+{
+    return component.plant ? component.plant->words(self->plant) : "";
+}
+
 /* A number is not finite where all eleven bits of its exponent are set, so that one more overflows into the sign: without
    branches compilers look at several numbers at once. */
 bool all_finite(const double *values, size_t n)
@@ -68,17 +82,22 @@ bool refresh_start(Instance *self)
                sample_time, SHORTEST_SAMPLE_TIME);
         return false;
     }
+    if (component.plant && !component.plant->begin(self->plant, run->clock.t0)) {
+        report(self, fmi2Error, LOG_ERROR, "%s: the plant cannot be initialized at t = %.15g%s.", component.name,
+               run->clock.t0, plant_trouble(self));
+        return false;
+    }
     self->arg[0] = self->p;
     self->arg[1] = &run->clock.t0;
     self->res[0] = self->scratch[0];
-    int unevaluated = component.start(self->arg, self->res, self->iw, self->w, 0);
+    int unevaluated = call(self, component.start);
     if (unevaluated == 0 && has_failed(self->scratch[0])) {
         report_failure(self, self->scratch[0], ", for the start values");
         return false;
     }
     if (unevaluated != 0 || !all_finite(self->scratch[0], component.n_states)) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g.", component.name,
-               run->clock.t0);
+        report(self, fmi2Error, LOG_ERROR, "%s: the start values give no finite state at t = %.15g%s.", component.name,
+               run->clock.t0, unevaluated ? plant_trouble(self) : "");
         return false;
     }
     double *z = self->z;
@@ -125,9 +144,9 @@ bool evaluate_outputs(Instance *self, const double *z, double time)
     self->arg[3] = &time;
     self->res[0] = self->y;
     self->stale_outputs = true; /* y is half written until it is not */
-    if (component.output(self->arg, self->res, self->iw, self->w, 0) != 0) {
-        report(self, fmi2Error, LOG_ERROR, "%s: the outputs could not be evaluated at t = %.15g.", component.name,
-               time);
+    if (call(self, component.output) != 0) {
+        report(self, fmi2Error, LOG_ERROR, "%s: the outputs could not be evaluated at t = %.15g%s.", component.name,
+               time, plant_trouble(self));
         return false;
     }
     double value;

@@ -23,6 +23,8 @@
 #define all_finite PREFIX(all_finite)
 #define has_failed PREFIX(has_failed)
 #define report_failure PREFIX(report_failure)
+#define call PREFIX(call)
+#define plant_trouble PREFIX(plant_trouble)
 #define bad_input PREFIX(bad_input)
 #define shown PREFIX(shown)
 
@@ -59,6 +61,7 @@ typedef struct {
     double *scratch[2]; /* doStep works here and swaps at its end */
     double *breaks;     /* since t0 [s], ascending */
     double *counts;     /* counters after the last step */
+    void *plant;        /* where the component has one, or NULL */
     const double **arg;
     double **res;
     double *w;
@@ -75,6 +78,8 @@ void report(Instance *self, fmi2Status status, Category category, const char *fo
 bool allowed(Instance *self, const char *function, unsigned lifecycles);
 
 /* evaluate.c */
+int call(Instance *self, Function *function);
+const char *plant_trouble(const Instance *self);
 void set_defaults(Instance *self);
 bool refresh_start(Instance *self);
 bool evaluate_outputs(Instance *self, const double *z, double time);

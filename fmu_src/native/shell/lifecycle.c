@@ -47,11 +47,32 @@ static size_t lay_out(char *block, Instance *self, size_t name_bytes)
     return used;
 }
 
+static void pass_on(void *listener, fmi2Status status, const char *text)
+{
+    Category category = status == fmi2OK        ? LOG_EVENTS
+                        : status == fmi2Warning ? LOG_WARNING
+                        : status == fmi2Discard ? LOG_DISCARD
+                                                : LOG_ERROR;
+    report(listener, status, category, "%s", text);
+}
+
+/* The plant, if the component is made for one. */
+static bool open_plant(Instance *self, fmi2String resources)
+{
+    if (!component.plant)
+        return true;
+    char words[512] = "";
+    self->plant = component.plant->open(resources, self->name, &self->callbacks, self->first_categories != 0, pass_on, self,
+                                        words, sizeof words);
+    if (!self->plant)
+        report(self, fmi2Error, LOG_ERROR, "fmi2Instantiate: the plant in %s cannot be used: %s.", component.name, words);
+    return self->plant != NULL;
+}
+
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn)
 {
-    (void)fmuResourceLocation;
     (void)visible;
     if (!functions)
         return NULL; /* and nobody to tell */
@@ -103,6 +124,10 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     self->p = self->u + component.n_inputs;
     self->y = self->p + component.n_parameters;
     self->first_categories = loggingOn ? LOG_ALL : 0;
+    if (!open_plant(self, fmuResourceLocation)) {
+        draft.callbacks.freeMemory(block);
+        return NULL;
+    }
     set_defaults(self);
     return self;
 }
@@ -110,8 +135,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
 void fmi2FreeInstance(fmi2Component c)
 {
     Instance *self = c;
-    if (self)
-        self->callbacks.freeMemory(self);
+    if (!self)
+        return;
+    if (component.plant)
+        component.plant->close(self->plant);
+    self->callbacks.freeMemory(self);
 }
 
 fmi2Status set_up_experiment(Instance *self, double start, bool stop_defined, double stop)

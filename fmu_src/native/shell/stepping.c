@@ -30,9 +30,9 @@ static bool move(Instance *self, Pair *pair, Function *function, const double *u
     self->arg[3] = &t;
     self->arg[4] = &h; /* jump does not read it */
     self->res[0] = pair->other;
-    if (function(self->arg, self->res, self->iw, self->w, 0) != 0) {
-        report(self, fmi2Error, LOG_ERROR, "%s: %s could not be evaluated at t = %.15g.", component.name,
-               function == component.flow ? "the motion" : "the sample", t);
+    if (call(self, function) != 0) {
+        report(self, fmi2Error, LOG_ERROR, "%s: %s could not be evaluated at t = %.15g%s.", component.name,
+               function == component.flow ? "the motion" : "the sample", t, plant_trouble(self));
         return false;
     }
     double *swap = pair->z == self->z ? self->scratch[1] : pair->z; /* the committed state stays as it is */
