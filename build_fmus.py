@@ -130,12 +130,16 @@ def namespace_of(path: Path) -> dict[str, Any]:
 
 
 def build_of(path: Path) -> Build:
-    """What is to be built of a Python file: its Components, and for each with a plant the two as a system, with their sources.
+    """What is to be built of a Python file: its Components, and their systems.
 
     Raises:
         ValueError: as `components_of`.
     """
-    fmus = components_of(path)
+    return coupled(components_of(path))
+
+
+def coupled(fmus: dict[str, Source]) -> Build:
+    """The FMUs, and for each with a plant the two as a system, with their sources."""
     components = {name: make() for name, (make, _) in fmus.items()}
     ports = {name: Ports([p.name for p in c.inputs], [p.name for p in c.outputs]) for name, c in components.items()}
     sources = [name for name, one in ports.items() if role(one) == "source"]

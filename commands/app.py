@@ -21,6 +21,8 @@ VERBS = (
     "advise",
     "build",
     "signal",
+    "describe",
+    "wrap",
     "system",
     "run",
     "compare",

@@ -17,7 +17,7 @@ from fmu_src.errors import ExperimentFailed, ExportError, ExportWarning
 from fmu_src.native.compiler import check_compiler, compile_library
 from fmu_src.native.embedded import embedded
 from fmu_src.native.sources import fixed_sources, functions, prefix, tables
-from fmu_src.plant.guest import guest_of, libraries
+from fmu_src.plant.guest import Guest, guest_of, libraries
 from fmu_src.plant.sources import plant_sources
 from fmu_src.platforms import PLATFORMS, resolve
 from fmu_src.python import target as python_target
@@ -49,22 +49,26 @@ def export(
     if target not in TARGETS:
         raise ExportError(f"target '{target}' is unknown; known: {', '.join(TARGETS)}")
     check_writable(Path(directory))
-    guid, contents = TARGETS[target](component, platforms)
+    path = Path(directory) / f"{component.name}.fmu"
+    guest = guest_of(component)
+    if guest and guest.source == path.resolve():
+        raise ExportError(
+            f"component '{component.name}' would be written over its plant {path}: take another folder or name"
+        )
+    guid, contents = TARGETS[target](component, platforms, guest)
     try:
         references, failure = reference_files(component, driven_by), ""
     except ExperimentFailed as error:
         references, failure = {}, str(error)
     contents |= references | documentation.pages(component, guid, driven_by, target, bool(references))
-    path = Path(directory) / f"{component.name}.fmu"
     write_zip(path, contents)
     if failure:
         warnings.warn(f"{path.name} is built, but {failure}", ExportWarning, stacklevel=2)
     return path
 
 
-def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
+def _native(component: Component, platforms: Sequence[str], guest: Guest | None) -> tuple[str, dict[str, bytes]]:
     """GUID and contents by path."""
-    guest = guest_of(component)
     folders = guest.platforms(platforms) if guest else resolve(platforms)
     check_compiler()
     constant = fixed_sources() | prefix(component) | functions(component, guest.name if guest else "")
@@ -82,10 +86,11 @@ def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[s
     }
     guid = _content_guid(without_guid)
     code = constant | tables(component, guid, plant=guest is not None)
+    extra = {} if guest else embedded(component)  # without FMI there is no plant
     contents = {
         "modelDescription.xml": describe(component, guid, source_files, capabilities),
         **inside,
-        **{f"sources/{name}": content for name, content in (code | embedded(component)).items()},
+        **{f"sources/{name}": content for name, content in (code | extra).items()},
     }
     with tempfile.TemporaryDirectory() as scratch:
         for name, content in code.items():
@@ -98,9 +103,8 @@ def _native(component: Component, platforms: Sequence[str]) -> tuple[str, dict[s
     return guid, contents
 
 
-def _python(component: Component, platforms: Sequence[str]) -> tuple[str, dict[str, bytes]]:
+def _python(component: Component, platforms: Sequence[str], guest: Guest | None) -> tuple[str, dict[str, bytes]]:
     """GUID and contents by path."""
-    guest = guest_of(component)
     if guest:
         raise ExportError(
             f"component '{component.name}' asks the FMU {guest.plant.file}, which the target 'python' cannot: take 'native'"

@@ -308,13 +308,3 @@ def column_of(where: str, values: Sequence[Any], variables: Sequence[Variable]) 
             )
         column.append(value)
     return ca.vertcat(*column) if column else ca.SX(0, 1)
-
-
-def refuse(model: Model, method: str, *features: str) -> None:
-    """Raise a ModelError that names the first of `features` (Model attributes) which the model has and `method` cannot treat."""
-    for feature in features:
-        variables = getattr(model, feature)
-        if variables:
-            names = ", ".join(v.name for v in variables)
-            what = "algebraic variables" if feature == "algebraic" else feature.replace("_", " ")
-            raise ModelError(f"{method}: model '{model.name}' has {what} ({names}), which this method does not treat")

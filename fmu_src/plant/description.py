@@ -18,7 +18,7 @@ from fmpy import read_model_description
 
 from fmu_src.description import units
 from fmu_src.errors import PlantError
-from fmu_src.platforms import PLATFORMS
+from fmu_src.platforms import PLATFORMS, resolve
 
 _FAR = 1e300  # tools write the largest double where there is no bound
 
@@ -53,6 +53,7 @@ class PlantDescription:
 
     file: str
     identifier: str
+    exchange: bool
     guid: str
     name: str
     tool: str
@@ -121,7 +122,7 @@ def read(path: Path) -> PlantDescription:
     """The description of the FMU at `path`.
 
     Raises:
-        PlantError: it is no FMU for model exchange of FMI 2.0, or cannot be read.
+        PlantError: it is no FMU of FMI 2.0, or cannot be read.
     """
     where = f"plant '{path.name}'"
     if not path.is_file():
@@ -134,11 +135,9 @@ def read(path: Path) -> PlantDescription:
         ) from None
     if not str(found.fmiVersion).startswith("2."):
         raise PlantError(f"{where} is FMI {found.fmiVersion}; needed: 2.0 for model exchange")
-    exchange = found.modelExchange
-    if exchange is None:
-        raise PlantError(
-            f"{where} is co-simulation only: FMI 2.0 gives no way to write its states; export it for model exchange"
-        )
+    interface = found.modelExchange or found.coSimulation
+    if interface is None:
+        raise PlantError(f"{where}: its description has no ModelExchange element")
     table = {unit.name: unit.baseUnit for unit in found.unitDefinitions}
     scalars = {v.name: _scalar(v, table) for v in found.modelVariables}
     pairs = [(u.variable.derivative, u.variable) for u in found.derivatives]
@@ -149,9 +148,10 @@ def read(path: Path) -> PlantDescription:
     said = [u for u in (*found.derivatives, *found.outputs) if u.dependencies is not None]
     return PlantDescription(
         file=path.name,
-        identifier=exchange.modelIdentifier,
+        identifier=interface.modelIdentifier,
+        exchange=found.modelExchange is not None,
         guid=found.guid,
-        name=found.modelName or exchange.modelIdentifier,
+        name=found.modelName or interface.modelIdentifier,
         tool=found.generationTool or "",
         license="; ".join(text for text in (found.license, found.copyright) if text),
         states=tuple(scalars[state.name] for state, _ in pairs),
@@ -160,14 +160,14 @@ def read(path: Path) -> PlantDescription:
         variables=scalars,
         dependencies={u.variable.name: frozenset(v.name for v in u.dependencies) for u in said},
         indicators=int(found.numberOfEventIndicators or 0),
-        directional=bool(exchange.providesDirectionalDerivative),
-        completes_steps=not exchange.completedIntegratorStepNotNeeded,
+        directional=bool(interface.providesDirectionalDerivative),
+        completes_steps=not getattr(interface, "completedIntegratorStepNotNeeded", True),
         capabilities={
             flag: "true"
             for flag in ("needsExecutionTool", "canBeInstantiatedOnlyOncePerProcess")
-            if getattr(exchange, flag)
+            if getattr(interface, flag)
         },
-        platforms=_platforms(path, exchange.modelIdentifier),
+        platforms=_platforms(path, interface.modelIdentifier),
         step=_number(getattr(found.defaultExperiment, "stepSize", None)),
         stop=_number(getattr(found.defaultExperiment, "stopTime", None)),
     )
@@ -176,6 +176,8 @@ def read(path: Path) -> PlantDescription:
 def obstacles(plant: PlantDescription) -> list[str]:
     """What the description alone says is in the way of an observer, a sentence each."""
     found = []
+    if not plant.exchange:
+        return ["is co-simulation only: FMI 2.0 gives no way to write its states; export it for model exchange"]
     if not plant.states:
         found.append("has no continuous states: there is nothing to estimate")
     if plant.indicators:
@@ -183,6 +185,10 @@ def obstacles(plant: PlantDescription) -> list[str]:
             f"has {plant.indicators} event indicator{'s' * (plant.indicators > 1)}: its modes would stay frozen; export it without "
             "events (noEvent, smooth)"
         )
+    host = resolve(["host"])[0]
+    if host not in plant.platforms:
+        there = ", ".join(plant.platforms) or "none that is known here"
+        found.append(f"has no binary for {host}, this machine, and so cannot be tried; it has {there}")
     return found
 
 

@@ -44,7 +44,7 @@ _known: dict[str, Guest] = {}
 class Guest:
     """A plant that travels: `name`, of its functions; `library`, by which CasADi calls it here; `tables`, C; `files` by path in its FMU.
 
-    `redistribute`: its owner's leave to pass its files on was stated.
+    `redistribute`: its owner's leave to pass its files on was stated. `source`: the FMU that it came from.
     """
 
     name: str
@@ -53,6 +53,7 @@ class Guest:
     tables: bytes
     files: dict[str, bytes]
     redistribute: bool
+    source: Path
 
     def platforms(self, names: Sequence[str]) -> list[str]:
         """The folders for `names` of platforms; of "all" those that the plant has a binary for.
@@ -114,8 +115,10 @@ def unpacked(path: Path, file: str) -> Path:
     return folder
 
 
-def invite(folder: Path, plant: PlantDescription, chosen: Selection, behaviour: Behaviour, redistribute: bool) -> Guest:
-    """The guest that the unpacked plant becomes, with the library by which CasADi calls it.
+def invite(
+    source: Path, folder: Path, plant: PlantDescription, chosen: Selection, behaviour: Behaviour, redistribute: bool
+) -> Guest:
+    """The guest that the plant of the FMU `source`, unpacked in `folder`, becomes, with the library by which CasADi calls it.
 
     Raises:
         ExportError: the compiler is missing.
@@ -141,7 +144,7 @@ def invite(folder: Path, plant: PlantDescription, chosen: Selection, behaviour: 
     host = resolve(["host"])[0]
     library = folder / f"{name}{PLATFORMS[host].suffix}"
     library.write_bytes(compile_library(name, scratch, host, libraries(host)))
-    _known[name] = Guest(name, library, plant, tables, files, redistribute)
+    _known[name] = Guest(name, library, plant, tables, files, redistribute, source.resolve())
     return _known[name]
 
 

@@ -17,7 +17,6 @@ from fmu_src.plant.description import Scalar, obstacles, read
 from fmu_src.plant.examine import Selection, examine
 from fmu_src.plant.guest import Guest, invite, unpacked
 from fmu_src.plant.sources import nominal
-from fmu_src.platforms import resolve
 from observers.model import Model, Variable
 
 ATTRIBUTES = ("unit", "start", "nominal", "min", "max", "wrap", "description")
@@ -80,10 +79,6 @@ class PlantFMU(Model):
             tuple(plant.parameter(n) for n in unknown_parameters),
             tuple(plant.output(n) for n in outputs),
         )
-        host = resolve(["host"])[0]
-        if host not in plant.platforms:
-            there = ", ".join(plant.platforms) or "none that is known here"
-            raise PlantError(f"{where} has no binary for {host}, this machine, and so cannot be tried; it has {there}")
         if "requires license" in (plant.license + plant.tool).lower() or "needsExecutionTool" in plant.capabilities:
             warnings.warn(
                 f"{where} needs its tool, or a licence of it, wherever the observer's FMU runs",
@@ -92,7 +87,7 @@ class PlantFMU(Model):
             )
         folder = unpacked(Path(path), plant.file)
         behaviour = examine(folder / "plant", plant, chosen)
-        guest = invite(folder, plant, chosen, behaviour, redistribute)
+        guest = invite(Path(path), folder, plant, chosen, behaviour, redistribute)
         named = _Named(where, dict(attributes or {}))
         values = iter(behaviour.parameters)
         states = [
@@ -114,7 +109,7 @@ class PlantFMU(Model):
             return equations
 
         super().__init__(
-            name=name or _identifier(plant.name),
+            name=name or identifier(plant.name),
             states=states,
             outputs=measured,
             ode=asked(functions[0]),
@@ -138,7 +133,7 @@ class _Named:
         self.taken: dict[str, str] = {}
 
     def variable(self, v: Scalar, start: float, size: float, is_output: bool = False) -> Variable:
-        name = _identifier(v.name)
+        name = identifier(v.name)
         if self.taken.setdefault(name, v.name) != v.name:
             raise PlantError(f"{self.where}: '{self.taken[name]}' and '{v.name}' would both be called '{name}'")
         self.used.add(v.name)
@@ -168,7 +163,7 @@ class _Named:
                 )
 
 
-def _identifier(name: str) -> str:
+def identifier(name: str) -> str:
     """The plant's name as an identifier: `mass.s` becomes mass_s, `body[1].v` body_1_v."""
     plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "_"
     if plain[0].isdigit():

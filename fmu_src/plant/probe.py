@@ -19,6 +19,7 @@ from fmpy.fmi1 import FMICallException, fmi1Error, fmi1Fatal
 
 POINTS = 20  # for each of the sets of parameters
 SETS = 3
+REACHES = (0.3, 1.0, 3.0)  # nominal values, to either side of the start
 DIFFERENCED = 4  # points at which derivatives are taken by differences
 SAME = 1e-8  # of the largest value: what a plant that solves equations inside may leave open
 STEP = 6e-6
@@ -171,17 +172,18 @@ def examine(plant: Plant) -> dict[str, Any]:
     if bad:
         raise Refused(f"gives no number for '{bad[0]}' at its own start")
     points, times, sets = _points(request, start, nominal, plant.starts)
-    orders = [[(s, k) for s in range(SETS) for k in range(POINTS)], []]
-    shuffled = np.random.default_rng(1).permutation(POINTS).tolist()
-    orders[1] = [(s, k) for s in reversed(range(SETS)) for k in shuffled]
+    shuffled = np.random.default_rng(1).permutation(len(points)).tolist()
+    low, high = np.array(request["min"]), np.array(request["max"])
     found = []
-    for order in orders:
-        results: dict[tuple[int, int], np.ndarray] = {}
-        for s, k in order:
-            plant.tune(sets[s])
-            results[s, k] = plant.at(points[k], times[k])
+    for order, side in ((range(len(points)), -1), (sorted(shuffled, key=lambda i: -(i // POINTS)), 1)):
+        results = np.empty((len(points), here.size))
+        far = np.clip(start + side * max(REACHES) * nominal, low, high)  # from where it comes to every point
+        for i in order:
+            plant.tune(sets[i // POINTS])
+            plant.at(far, times[i])
+            results[i] = plant.at(points[i], times[i])
         found.append(results)
-    scale = _compare(request, found, points)
+    scale = _compare(request, found)
     plant.tune(plant.starts)
     derivatives = [_slopes(plant, points[k], times[k], nominal) for k in range(DIFFERENCED)]
     said = [_directional(plant, points[k], times[k], J, scale, nominal) for k, J in enumerate(derivatives)]
@@ -203,12 +205,13 @@ def _results(request: dict[str, Any]) -> list[str]:
 def _points(
     request: dict[str, Any], start: np.ndarray, nominal: np.ndarray, parameters: np.ndarray
 ) -> tuple[list[np.ndarray], list[float], list[np.ndarray]]:
-    """Points (states, inputs), times and sets of parameters around the start, within the bounds; the first are the start itself."""
+    """Points (states, inputs), POINTS for each set of parameters, and times, around the start and within the bounds; first the start."""
     random = np.random.default_rng(0)
     low, high = np.array(request["min"]), np.array(request["max"])
     points, times = [start], [0.0]
-    for _ in range(POINTS - 1):
-        points.append(np.clip(start + random.uniform(-1, 1, start.size) * nominal, low, high))
+    for k in range(SETS * POINTS - 1):
+        reach = REACHES[k % len(REACHES)] * nominal
+        points.append(np.clip(start + random.uniform(-1, 1, start.size) * reach, low, high))
         times.append(float(random.uniform(0, request["stop"])))
     sets = [parameters]
     unknown = np.array(request["unknown"], dtype=bool)
@@ -219,12 +222,12 @@ def _points(
     return points, times, sets
 
 
-def _compare(request: dict[str, Any], found: list[dict[Any, np.ndarray]], points: list[np.ndarray]) -> np.ndarray:
+def _compare(request: dict[str, Any], found: list[np.ndarray]) -> np.ndarray:
     """Largest results; Refused where the two orders have different ones."""
-    one, other = (np.array([results[key] for key in sorted(results)]) for results in found)
+    one, other = found
     both = np.isfinite(one) & np.isfinite(other)
     if not both.any():
-        raise Refused(f"gives no derivatives at any of {len(points)} points around its start")
+        raise Refused(f"gives no derivatives at any of {len(one)} points around its start")
     scale: np.ndarray = np.nanmax(np.abs(np.where(both, one, np.nan)), axis=0)
     scale = np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
     apart = (np.abs(one - other) > SAME * scale) | (np.isfinite(one) != np.isfinite(other))

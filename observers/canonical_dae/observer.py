@@ -36,8 +36,9 @@ from observers.canonical_dae.ports import SINGULAR, disturbances, documentation,
 from observers.canonical_dae.region import Region, region
 from observers.component import Component
 from observers.linearisation import prediction_step
-from observers.model import Model, refuse
+from observers.model import Model
 from observers.numerics.runge_kutta import CLASSICAL_4
+from observers.refusal import refuse, refuse_opaque
 
 FASTEST = 10.0  # [1/s]: where the poles are by default
 
@@ -87,6 +88,7 @@ def canonical_dae(
         ValueError: an option out of range.
     """
     refuse(model, "canonical_dae", "algebraic")
+    refuse_opaque(model, "canonical_dae")
     period = ports.sample_time("canonical_dae", sample_time)
     if form not in ("w", "bdf"):
         raise ValueError(f"canonical_dae: form = {form!r} must be 'w' or 'bdf'")

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from observers.elementary.scalar_problem import ScalarProblem
-from observers.model import Model, ModelError, Variable, refuse
+from observers.model import Model, ModelError, Variable
+from observers.refusal import refuse, refuse_opaque
 
 LQ, GAUSS_NEWTON, GRID = "lq", "gauss_newton", "grid"
 LEVELS = (LQ, GAUSS_NEWTON, GRID)
@@ -88,6 +89,7 @@ def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]
         ValueError: an unknown name or level, a level that does not suffice, a grid without finite bounds of its state.
     """
     refuse(model, METHOD, "algebraic", "unknown_parameters")
+    refuse_opaque(model, METHOD)
     _refuse_disturbances(model)
     names = [v.name for v in model.states]
     for name, level in levels.items():

@@ -40,8 +40,9 @@ from observers.least_squares import steps
 from observers.least_squares.weights import weights
 from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_unobservable
-from observers.model import Model, ModelError, refuse
+from observers.model import Model, ModelError
 from observers.numerics.finite import HUGE
+from observers.refusal import refuse, refuse_opaque
 from observers.status import shown as verdict
 from observers.tables import refuse_tables_that_end
 from observers.vigilance import TUNING
@@ -99,6 +100,7 @@ def least_squares(
         ValueError: T, gamma or p0 is not positive, T is shorter than the sample time; a process noise; both ways to say one thing.
     """
     refuse(model, "least_squares", "algebraic", "unknown_disturbances")
+    refuse_opaque(model, "least_squares")
     refuse_tables_that_end(model, "least_squares")
     refuse_unobservable(model, "least_squares")
     if process_noise is not None:

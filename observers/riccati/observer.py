@@ -28,7 +28,8 @@ from observers.free_motion import FreeMotion, accurate_step, free_motion
 from observers.innovation_covariance import innovation_covariance
 from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import Linearisation, linearisation, refuse_undetectable, step_along
-from observers.model import Model, refuse
+from observers.model import Model
+from observers.refusal import refuse
 from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
 from observers.riccati.design import UNKNOWN, Given, design

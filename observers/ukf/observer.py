@@ -24,7 +24,8 @@ from observers.component import Component, Port
 from observers.innovation_covariance import innovation_covariance
 from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import prediction_step, refuse_unobservable
-from observers.model import Model, ModelError, refuse
+from observers.model import Model, ModelError
+from observers.refusal import refuse
 from observers.tables import refuse_tables_that_end
 from observers.ukf import steps
 from observers.vigilance import TUNING
