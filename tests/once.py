@@ -6,7 +6,7 @@ import hashlib
 import importlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -39,13 +39,14 @@ def compiled_once(optimised: bool = True) -> Iterator[None]:
     of the time, but in CI, where every FMU is as it is shipped.
     """
 
-    def compile_library(name: str, folder: Path, platform: str) -> bytes:
-        digest = hashlib.sha256(repr((version("ziglang"), compiler.FLAGS, compiler.LINK, name, platform)).encode())
+    def compile_library(name: str, folder: Path, platform: str, libraries: Sequence[str] = ("-lm",)) -> bytes:
+        made_by = (version("ziglang"), compiler.FLAGS, compiler.LINK, name, platform, libraries)
+        digest = hashlib.sha256(repr(made_by).encode())
         for path in sorted(folder.iterdir()):
             digest.update(f"{path.name} {path.stat().st_size} ".encode() + path.read_bytes())
         made = once(
             LIBRARIES / digest.hexdigest(),
-            lambda to: (to / "library").write_bytes(compiler.compile_library(name, folder, platform)),
+            lambda to: (to / "library").write_bytes(compiler.compile_library(name, folder, platform, libraries)),
         )
         return (made / "library").read_bytes()
 
@@ -54,5 +55,6 @@ def compiled_once(optimised: bool = True) -> Iterator[None]:
         flags = tuple("-O0" if flag == "-O2" else flag for flag in flags)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "FLAGS", flags)
-        patch.setattr(importlib.import_module("fmu_src.export"), "compile_library", compile_library)
+        for module in ("fmu_src.export", "fmu_src.plant.guest"):
+            patch.setattr(importlib.import_module(module), "compile_library", compile_library)
         yield

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,13 +30,20 @@ def compiled(folder: Path, platform: str = HOST) -> bytes:
     return compile_library("plants", folder, platform)
 
 
+def digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
 def states_of(kind: str) -> list[str]:
     """The names of its states."""
     return [f"T[{i + 1}]" for i in range(int(kind[3:]))] if kind.startswith("rod") else NAMES.get(kind, ["x0", "x1"])
 
 
-def description(kind: str, attributes: str = "", slopes: bool = False, lies: bool = False) -> str:
-    """modelDescription.xml. `slopes`: it provides directional derivatives; `lies`: the first derivative depends on nothing, it says."""
+def description(
+    kind: str, copyright: str = "", slopes: bool = False, lies: bool = False, extra: str = "", version: str = "2.0"
+) -> str:
+    """modelDescription.xml. `slopes`: it provides directional derivatives; `lies`: the first derivative depends on nothing, it says;
+    `extra`: the name of one more output."""
     states = states_of(kind)
     n = len(states)
     starts = STARTS.get(kind, (20.0, 2.0) if kind.startswith("rod") else (1.5, 2.0))
@@ -68,16 +76,19 @@ def description(kind: str, attributes: str = "", slopes: bool = False, lies: boo
     )
     add("twice", 202, 'causality="calculatedParameter" variability="fixed" initial="calculated"', "")
     add("switch", 303, 'causality="input" variability="discrete"', ' start="0"')
+    if extra:
+        add(extra, 400, calculated, "")
     near = [" ".join(str(j + 1) for j in range(max(i - 1, 0), min(i + 2, n))) for i in range(n)]
     said = [f' dependencies="{near[i]}"' if kind.startswith("rod") and i > 0 else "" for i in range(n)]
     if lies:
         said[0] = ' dependencies=""'
     derivatives = "".join(f'<Unknown index="{n + 1 + i}"{said[i]}/>' for i in range(n))
     outputs = "".join(f'<Unknown index="{2 * n + 4 + k}"/>' for k in range(3))
+    owner = f' copyright="{copyright}"' if copyright else ""
     indicators = ' numberOfEventIndicators="2"' if kind == "indicators" else ""
     provided = ' providesDirectionalDerivative="true"' if slopes else ""
     return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="{kind}" guid="{kind}"{indicators}{attributes}>
+<fmiModelDescription fmiVersion="{version}" modelName="{kind}" guid="{kind}"{indicators}{owner}>
 <ModelExchange modelIdentifier="plants"{provided}{FLAGS.get(kind, "")}/>
 <UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit><Unit name="m/s"><BaseUnit m="1" s="-1"/></Unit>
 <Unit name="rad"><BaseUnit rad="1"/></Unit><Unit name="rad/s"><BaseUnit rad="1" s="-1"/></Unit></UnitDefinitions>
@@ -96,13 +107,16 @@ def write(
     kind: str,
     others: dict[str, bytes] | None = None,
     files: Sequence[tuple[str, bytes]] = (),
+    folder: str = HOST,
     **choices: object,
 ) -> Path:
-    """The FMU of this kind at `path`, with `others` as libraries of other platforms and `files` beside."""
+    """The FMU of this kind at `path`, its library in `folder`, with `others` as libraries of other platforms and `files` beside."""
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", description(kind, **choices))  # type: ignore[arg-type]
-        for platform, content in {HOST: library, **(others or {})}.items():
-            archive.writestr(f"binaries/{platform}/plants{PLATFORMS[platform].suffix}", content)
+        for platform, content in {folder: library, **(others or {})}.items():
+            archive.writestr(
+                f"binaries/{platform}/plants{PLATFORMS[platform].suffix if platform in PLATFORMS else '.so'}", content
+            )
         for name, content in files:
             archive.writestr(name, content)
     return path

@@ -9,17 +9,19 @@ from __future__ import annotations
 import difflib
 import math
 import zipfile
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fmpy import read_model_description
+from lxml import etree
 
 from fmu_src.description import units
 from fmu_src.errors import PlantError
 from fmu_src.platforms import PLATFORMS, resolve
 
+ATTRIBUTES = ("unit", "start", "nominal", "min", "max", "wrap", "description")
 _FAR = 1e300  # tools write the largest double where there is no bound
 
 
@@ -128,13 +130,17 @@ def read(path: Path) -> PlantDescription:
     if not path.is_file():
         raise PlantError(f"{where}: {path} is {'a folder' if path.is_dir() else 'no file'}")
     try:
+        with zipfile.ZipFile(path) as archive:  # the version first: fmpy expects what it asks for
+            version = str(etree.fromstring(archive.read("modelDescription.xml")).get("fmiVersion"))
+        if not version.startswith("2."):
+            raise PlantError(f"{where} is FMI {version}; needed: 2.0 for model exchange")
         found = read_model_description(str(path), validate=False)
+    except PlantError:
+        raise
     except Exception as error:  # fmpy raises what it stumbles over, of many kinds
         raise PlantError(
             f"{where}: it cannot be read as an FMU: {str(error).splitlines()[0] if str(error) else error!r}"
         ) from None
-    if not str(found.fmiVersion).startswith("2."):
-        raise PlantError(f"{where} is FMI {found.fmiVersion}; needed: 2.0 for model exchange")
     interface = found.modelExchange or found.coSimulation
     if interface is None:
         raise PlantError(f"{where}: its description has no ModelExchange element")
@@ -171,6 +177,24 @@ def read(path: Path) -> PlantDescription:
         step=_number(getattr(found.defaultExperiment, "stepSize", None)),
         stop=_number(getattr(found.defaultExperiment, "stopTime", None)),
     )
+
+
+def replaced(plant: PlantDescription, attributes: Mapping[str, Mapping[str, Any]]) -> PlantDescription:
+    """The description with other attributes (ATTRIBUTES) of variables, by their names.
+
+    Raises:
+        PlantError: there is no such variable or attribute.
+    """
+    changed = dict(plant.variables)
+    for name, given in attributes.items():
+        variable = plant.find(name, "attributes of")
+        unknown = sorted(set(given) - set(ATTRIBUTES))
+        if unknown:
+            known = ", ".join(ATTRIBUTES)
+            raise PlantError(f"plant '{plant.file}': attributes of '{name}': '{unknown[0]}' is none; known: {known}")
+        changed[name] = replace(variable, **{k: value for k, value in given.items() if k != "wrap"})
+    states, outputs = (tuple(changed[v.name] for v in group) for group in (plant.states, plant.outputs))
+    return replace(plant, variables=changed, states=states, outputs=outputs)
 
 
 def obstacles(plant: PlantDescription) -> list[str]:

@@ -112,6 +112,7 @@ def _request(folder: Path, plant: PlantDescription, chosen: Selection) -> dict[s
             "derivatives": [v.name for v in plant.derivatives],
             "outputs": [v.name for v in chosen.outputs],
         },
+        "nominals": [v.nominal for v in plant.states],
         "fixed": [v.variability == "fixed" for v in chosen.parameters],
         "unknown": [False] * len(chosen.known) + [True] * len(chosen.unknown),
         "input_starts": [v.start or 0.0 for v in chosen.inputs],

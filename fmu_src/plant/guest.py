@@ -7,6 +7,7 @@ is of the plant's files and of what is used of it, so that the same plant has th
 from __future__ import annotations
 
 import atexit
+import ctypes
 import hashlib
 import re
 import shutil
@@ -38,6 +39,7 @@ _PREFIX_H = """\
 #endif
 """
 _known: dict[str, Guest] = {}
+_told: list[bytes] = []  # folders that libraries point to
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,7 @@ def invite(
     sources |= {
         "prefix.h": _PREFIX_H.encode(),
         "plant_tables.c": tables,
-        "interpreter.c": interpreter(name, str(folder), plant, chosen, behaviour),
+        "interpreter.c": interpreter(name, plant, chosen, behaviour),
     }
     scratch = folder / "interpreter"
     scratch.mkdir(exist_ok=True)
@@ -144,6 +146,8 @@ def invite(
     host = resolve(["host"])[0]
     library = folder / f"{name}{PLATFORMS[host].suffix}"
     library.write_bytes(compile_library(name, scratch, host, libraries(host)))
+    _told.append(str(folder).encode())
+    ctypes.CDLL(str(library)).plant_lies_in(_told[-1])
     _known[name] = Guest(name, library, plant, tables, files, redistribute, source.resolve())
     return _known[name]
 

@@ -13,13 +13,11 @@ from typing import Any
 import casadi as ca
 
 from fmu_src.errors import ExportWarning, PlantError
-from fmu_src.plant.description import Scalar, obstacles, read
+from fmu_src.plant.description import Scalar, obstacles, read, replaced
 from fmu_src.plant.examine import Selection, examine
 from fmu_src.plant.guest import Guest, invite, unpacked
 from fmu_src.plant.sources import nominal
 from observers.model import Model, Variable
-
-ATTRIBUTES = ("unit", "start", "nominal", "min", "max", "wrap", "description")
 
 
 class PlantFMU(Model):
@@ -60,7 +58,8 @@ class PlantFMU(Model):
         attributes: Mapping[str, Mapping[str, Any]] | None = None,
         redistribute: bool = False,
     ):
-        plant = read(Path(path))
+        given = dict(attributes or {})
+        plant = replaced(read(Path(path)), given)
         where = f"plant '{plant.file}'"
         for obstacle in obstacles(plant):
             raise PlantError(f"{where} {obstacle}")
@@ -88,10 +87,10 @@ class PlantFMU(Model):
         folder = unpacked(Path(path), plant.file)
         behaviour = examine(folder / "plant", plant, chosen)
         guest = invite(Path(path), folder, plant, chosen, behaviour, redistribute)
-        named = _Named(where, dict(attributes or {}))
+        named = _Named(where, given)
         values = iter(behaviour.parameters)
         states = [
-            named.variable(v, start, v.nominal or size)
+            named.variable(v, start, size)
             for v, start, size in zip(plant.states, behaviour.start, behaviour.nominal, strict=True)
         ]
         known_inputs = [named.variable(v, v.start or 0.0, v.nominal or 1.0) for v in chosen.inputs]
@@ -137,23 +136,18 @@ class _Named:
         if self.taken.setdefault(name, v.name) != v.name:
             raise PlantError(f"{self.where}: '{self.taken[name]}' and '{v.name}' would both be called '{name}'")
         self.used.add(v.name)
-        given = dict(self.attributes.get(v.name, {}))
-        unknown = sorted(set(given) - set(ATTRIBUTES))
-        if unknown:
-            raise PlantError(
-                f"{self.where}: attributes of '{v.name}': '{unknown[0]}' is none; known: {', '.join(ATTRIBUTES)}"
-            )
+        given = self.attributes.get(v.name, {})
         said: dict[str, Any] = {
             "description": v.description or v.name,
             "unit": v.unit,
-            "start": 0.0 if is_output and not v.min <= 0 <= v.max else start,
+            "start": start,
             "nominal": size if math.isfinite(size) and size > 0 else 1.0,
             "min": v.min,
             "max": v.max,
         }
         if is_output:  # a sensor may show anything
             said |= {"min": -math.inf, "max": math.inf, "start": 0.0}
-        return Variable(name, **(said | given))
+        return Variable(name, **(said | {k: given[k] for k in ("start", "wrap") if k in given}))
 
     def finish(self) -> None:
         for name in self.attributes:

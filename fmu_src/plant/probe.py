@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import math
 import mmap
 import sys
 from pathlib import Path
@@ -49,6 +50,7 @@ class Plant:
 
     def __init__(self, request: dict[str, Any], call: mmap.mmap):
         self.request = request
+        self.next_event = math.inf
         self.n = len(request["states"])
         identity = {"guid": request["guid"], "modelIdentifier": request["identifier"]}
         try:
@@ -80,6 +82,8 @@ class Plant:
         except FMICallException as error:
             raise Refused(f"cannot be initialized: {_said(error)}") from None
         self._settle()
+        if self.next_event < math.inf and parameters is None:
+            raise Refused(f"has a time event at t = {self.next_event:g}: nothing happens at one inside an observer")
 
     def _settle(self) -> None:
         for _ in range(100):
@@ -87,8 +91,7 @@ class Plant:
             if ended:
                 raise Refused("asks to end the simulation at its initialization")
             if not again:
-                if timed:
-                    raise Refused(f"has a time event at t = {at:g}: nothing happens at one inside an observer")
+                self.next_event = at if timed else math.inf
                 self.slave.enterContinuousTimeMode()
                 return
         raise Refused("comes to no end with its event iteration at the initialization")
@@ -98,7 +101,7 @@ class Plant:
         try:
             self.slave.reset()
         except FMICallException:  # not every tool can
-            self.slave.freeInstance()
+            self.slave.fmi2FreeInstance(self.slave.component)
             self.slave.instantiate(callbacks=self.callbacks)
         self.initialise(self.values)
 
@@ -129,8 +132,8 @@ class Plant:
         try:
             self.slave.getNominalsOfContinuousStates(x, self.n)
         except FMICallException:
-            return np.ones(self.n)
-        return np.array(x)
+            x[:] = [1.0] * self.n
+        return np.array([own or said for own, said in zip(self.request["nominals"], x, strict=True)])
 
     def set(self, v: np.ndarray, t: float) -> None:
         self.slave.setTime(t)
@@ -139,7 +142,9 @@ class Plant:
             self.slave.setReal(self.request["inputs"], [float(value) for value in v[self.n :]])
 
     def at(self, v: np.ndarray, t: float) -> np.ndarray:
-        """Derivatives and outputs for states and inputs v; NaN where the plant refuses the point."""
+        """Derivatives and outputs for states and inputs v; NaN where the plant refuses the point, or changes before."""
+        if t > self.next_event:
+            return np.full(self.n + len(self.request["outputs"]), np.nan)
         try:
             self.set(v, t)
             d = (ctypes.c_double * self.n)()

@@ -22,6 +22,12 @@ _INTERPRETER = """\
 #include "plant.h"
 
 static THREAD_LOCAL Plant *own;
+static const char *folder; /* in which the folder `plant` lies */
+
+__attribute__((visibility("default"))) void plant_lies_in(const char *path)
+{{
+    folder = path;
+}}
 
 static void ignore(void *listener, fmi2Status status, const char *text)
 {{
@@ -35,7 +41,7 @@ static bool ready(void)
     char words[512] = "";
     const fmi2CallbackFunctions callbacks = {{NULL, calloc, free, NULL, NULL}};
     if (!own)
-        own = plant_open({folder}, plant_tables.identifier, &callbacks, false, ignore, NULL, words, sizeof words);
+        own = plant_open(folder, plant_tables.identifier, &callbacks, false, ignore, NULL, words, sizeof words);
     if (!own)
         fprintf(stderr, "plant %s: %s\\n", plant_tables.identifier, words);
     plant_enter(own);
@@ -99,11 +105,11 @@ def plant_tables(plant: PlantDescription, chosen: Selection, behaviour: Behaviou
     return "\n".join(lines).encode()
 
 
-def interpreter(name: str, folder: str, plant: PlantDescription, chosen: Selection, behaviour: Behaviour) -> bytes:
-    """`interpreter.c`: the functions `<name>_rate` and `<name>_measure` as CasADi loads them, for the plant in `folder`/plant."""
+def interpreter(name: str, plant: PlantDescription, chosen: Selection, behaviour: Behaviour) -> bytes:
+    """`interpreter.c`: the functions `<name>_rate` and `<name>_measure` as CasADi loads them, once `plant_lies_in` was told where."""
     sizes = [len(plant.states), len(chosen.inputs), len(chosen.known), len(chosen.unknown), 1]
     dense = np.ones
-    parts = [_INTERPRETER.format(identifier=plant.identifier, folder=text(folder))]
+    parts = [_INTERPRETER.format(identifier=plant.identifier)]
     for what, pattern in (("rate", behaviour.rate), ("measure", behaviour.output)):
         n = pattern.shape[0]
         result = dense((n, 1))

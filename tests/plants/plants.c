@@ -255,7 +255,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
     memset(info, 0, sizeof *info);
     if (is(m, "time_event") || (is(m, "late_event") && m->events > 0)) {
         info->nextEventTimeDefined = fmi2True;
-        info->nextEventTime = m->t + 1;
+        info->nextEventTime = is(m, "late_event") ? 15 : m->t + 1;
     }
     info->terminateSimulation = is(m, "ends");
     info->newDiscreteStatesNeeded = is(m, "endless");

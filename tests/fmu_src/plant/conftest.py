@@ -1,0 +1,54 @@
+"""Plants for model exchange, compiled once, and what is made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import plant_fmu
+from fmu_src import PlantFMU
+from fmu_src.native import compiler
+from once import LIBRARIES, compiled_once, once
+
+Plants = Callable[..., Path]
+
+
+@pytest.fixture(scope="session")
+def plant_library() -> bytes:
+    """The library of plants.c for this machine."""
+    source = plant_fmu.digest(plant_fmu.SOURCE.read_bytes() + repr(compiler.FLAGS).encode())
+
+    def fill(folder: Path) -> None:
+        (folder / "library").write_bytes(plant_fmu.compiled(folder))
+
+    return (once(LIBRARIES / f"plants-{source}", fill) / "library").read_bytes()
+
+
+@pytest.fixture
+def plants(plant_library: bytes, tmp_path: Path) -> Plants:
+    """plants(kind, **choices) -> the FMU of that kind."""
+
+    def write(kind: str, library: bytes = plant_library, **choices: object) -> Path:
+        return plant_fmu.write(tmp_path / f"{kind}.fmu", library, kind, **choices)  # type: ignore[arg-type]
+
+    return write
+
+
+@pytest.fixture
+def modelled(plants: Plants) -> Callable[..., PlantFMU]:
+    """modelled(kind, **choices) -> its Model: y is measured, the force known, the tunable parameter estimated."""
+
+    def model(kind: str, **choices: object) -> PlantFMU:
+        tunable, fixed = plant_fmu.PARAMETERS.get(kind, ("mu", "m"))
+        given = {"outputs": ["y"], "inputs": ["force"], "unknown_parameters": [tunable]}
+        if kind == "pendulum":
+            given["parameters"] = [fixed]
+        for name in ("outputs", "inputs", "parameters", "unknown_parameters", "attributes", "name", "redistribute"):
+            if name in choices:
+                given[name] = choices.pop(name)
+        with compiled_once():
+            return PlantFMU(plants(kind, **choices), **given)  # type: ignore[arg-type]
+
+    return model
