@@ -14,6 +14,7 @@ import numpy as np
 
 from cosim.whole import whole
 from fmu_src.native.compiler import cache_folder, compile_library
+from fmu_src.plant.guest import Guest, guest_of, libraries
 from fmu_src.platforms import PLATFORMS, resolve
 from observers.component import Component
 
@@ -29,7 +30,11 @@ def sampled(component: Component, sample_time: float, linear: bool = False) -> S
     long.
     """
     function = _one_function(component, sample_time, linear)
-    compiled = ca.external("sample", str(_library(function)))
+    guest = guest_of(component)
+    library = _library(function, guest)
+    if guest:
+        guest.tell(library)
+    compiled = ca.external("sample", str(library))
     made: tuple[Any, Callable[[], None]] = compiled.buffer()
     buffer, evaluate = made
     arguments = [np.zeros(function.numel_in(i)) for i in range(4)]
@@ -69,18 +74,23 @@ def _one_function(component: Component, sample_time: float, linear: bool) -> ca.
     return ca.Function("sample", [z, u, p, t], [moved, shown])
 
 
-def _library(function: ca.Function) -> Path:
-    """The compiled function; one whose C is known is not compiled again."""
+def _library(function: ca.Function, guest: Guest | None) -> Path:
+    """The compiled function, with the plant that it asks; one whose C is known is not compiled again."""
     platform = resolve(["host"])[0]
     with TemporaryDirectory() as scratch:
         generator = ca.CodeGenerator("sample.c")
         generator.add(function)
         source = Path(generator.generate(f"{scratch}/"))
+        digest = hashlib.sha256(source.read_bytes())
+        for name, content in sorted(guest.sources.items()) if guest else ():
+            (Path(scratch) / name).write_bytes(content)
+            digest.update(content)
         folder = cache_folder().with_name("samples")
-        library = folder / f"{hashlib.sha256(source.read_bytes()).hexdigest()[:24]}{PLATFORMS[platform].suffix}"
+        library = folder / f"{digest.hexdigest()[:24]}{PLATFORMS[platform].suffix}"
         if not library.is_file():
             folder.mkdir(parents=True, exist_ok=True)
-            made = compile_library("sample", Path(scratch), platform, flags=("-O1", "-w", "-fvisibility=default"))
+            flags = ("-O1", "-w", "-fvisibility=default")
+            made = compile_library("sample", Path(scratch), platform, libraries(platform), flags)
             with whole(library) as unfinished:
                 unfinished.write_bytes(made)
     return library

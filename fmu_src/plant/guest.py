@@ -39,12 +39,13 @@ _PREFIX_H = """\
 #endif
 """
 _known: dict[str, Guest] = {}
-_told: list[bytes] = []  # folders that libraries point to
+_told: dict[str, bytes] = {}  # folders that libraries point to, by the name of their plant
 
 
 @dataclass(frozen=True)
 class Guest:
-    """A plant that travels: `name`, of its functions; `library`, by which CasADi calls it here; `tables`, C; `files` by path in its FMU.
+    """A plant that travels: `name`, of its functions; `library`, of the C `sources`, by which CasADi calls it here; `tables`, C for its
+    FMU; `files` by path in its own.
 
     `redistribute`: its owner's leave to pass its files on was stated. `source`: the FMU that it came from.
     """
@@ -53,9 +54,14 @@ class Guest:
     library: Path
     plant: PlantDescription
     tables: bytes
+    sources: dict[str, bytes]
     files: dict[str, bytes]
     redistribute: bool
     source: Path
+
+    def tell(self, library: Path) -> None:
+        """A library made of `sources` learns where the plant lies; the text that it keeps a pointer to stays."""
+        ctypes.CDLL(str(library)).plant_lies_in(_told.setdefault(self.name, str(self.library.parent).encode()))
 
     def platforms(self, names: Sequence[str]) -> list[str]:
         """The folders for `names` of platforms; of "all" those that the plant has a binary for.
@@ -146,9 +152,8 @@ def invite(
     host = resolve(["host"])[0]
     library = folder / f"{name}{PLATFORMS[host].suffix}"
     library.write_bytes(compile_library(name, scratch, host, libraries(host)))
-    _told.append(str(folder).encode())
-    ctypes.CDLL(str(library)).plant_lies_in(_told[-1])
-    _known[name] = Guest(name, library, plant, tables, files, redistribute, source.resolve())
+    _known[name] = Guest(name, library, plant, tables, sources, files, redistribute, source.resolve())
+    _known[name].tell(library)
     return _known[name]
 
 

@@ -124,8 +124,8 @@ static size_t references(fmi2ValueReference *into) {
 }
 
 static void instantiate(void) {
-    const char *name = word(), *guid = word();
-    instance = FMI(Instantiate)(name, fmi2CoSimulation, guid, "", &callbacks, fmi2False, fmi2True);
+    const char *name = word(), *guid = word(), *resources = strtok(NULL, " \r\n");
+    instance = FMI(Instantiate)(name, fmi2CoSimulation, guid, resources ? resources : "", &callbacks, fmi2False, fmi2True);
     if (instance == NULL) check("instantiate", fmi2Error);
 }
 
