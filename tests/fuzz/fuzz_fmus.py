@@ -1,6 +1,7 @@
 """Fuzzes the C of the FMUs (`make fuzz`): libFuzzer drives them through harness.c, under the address and undefined-behaviour sanitizers.
 
-Six kinds of component in the native shell, and the relay of the PythonFMU target with a native component in PythonFMU's place.
+Seven kinds of component in the native shell, one with a plant inside, and the relay of the PythonFMU target with a native component in
+PythonFMU's place.
 What makes one fail is kept in `build/fuzz/<kind>/`; run `build/fuzz/<kind>/binaries/host/fuzz FILE` to see it again.
 """
 
@@ -10,6 +11,7 @@ import json
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +20,13 @@ TESTS = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(TESTS), str(TESTS.parent)]  # run as a script
 
 import linear_models  # noqa: E402
+import plant_fmu  # noqa: E402
+from fmu_src import PlantFMU  # noqa: E402
 from fmu_src.description.model_description import entries  # noqa: E402
 from fmu_src.native.sources import fixed_sources, functions, prefix, tables  # noqa: E402
+from fmu_src.plant.guest import guest_of  # noqa: E402
+from fmu_src.plant.sources import plant_sources  # noqa: E402
+from fmu_src.platforms import resolve  # noqa: E402
 from fmu_src.python.target import relay  # noqa: E402
 from observers.component import Component  # noqa: E402
 from observers.pseudospectral import pseudospectral  # noqa: E402
@@ -37,12 +44,23 @@ SECONDS_A_RUN = 30  # more is a hang
 LONGEST_INPUT = 1024  # [bytes]
 GUID = "{fuzz}"
 RELAY = "relay"
+
+
+def plant_inside() -> Component:
+    """A filter whose plant is an FMU, which refuses points that are far off with an error."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = plant_fmu.write(Path(scratch) / "error.fmu", plant_fmu.compiled(Path(scratch)), "error")
+        model = PlantFMU(path, outputs=["y"], inputs=["force"], unknown_parameters=["mu"])
+    return ukf(model, sample_time=0.1, measurement_noise={"y": 1e-3})
+
+
 KINDS: dict[str, Callable[[], Component]] = {
     "plant": lambda: plant(DUFFING, jumps={"theta": 2}),
     "pseudospectral": lambda: pseudospectral(DUFFING, sample_time=0.1, N=5, L=6),
     "ukf": lambda: ukf(DUFFING, sample_time=0.1, measurement_noise={"y": 1e-3}),
     "riccati": lambda: linear_models.riccati(2),
     "least_squares": lambda: linear_models.least_squares(2),
+    "plant inside": plant_inside,
     "controller": FMUS["duffing_ukf_controller"][0],
     RELAY: sampled_toy,
 }
@@ -56,11 +74,12 @@ class Outcome:
     finding: str
 
 
-def fmu_h(component: Component) -> bytes:
-    """What the harness knows of the FMU."""
+def fmu_h(component: Component, resources: Path) -> bytes:
+    """What the harness knows of the FMU, whose resources are in this folder."""
     names = [entry.port.name for entry in entries(component)]
     lines = [
         f"#define GUID {json.dumps(GUID)}",
+        f"#define RESOURCES {json.dumps(resources.as_uri())}",
         f"#define STEP {component.step_size!r}",
         f"#define N_VARIABLES {len(names)}u",
         f"static const char *const NAMES[] = {{{', '.join(map(json.dumps, names))}}};",
@@ -73,14 +92,22 @@ def build(kind: str, folder: Path) -> Path:
     component = KINDS[kind]()
     host = folder / "binaries" / "host"  # where the relay expects to be
     host.mkdir(parents=True, exist_ok=True)
-    native = fixed_sources() | prefix(component) | functions(component) | tables(component, GUID)
-    sources = _written(native | {"fmu.h": fmu_h(component)}, folder / "native")
+    guest = guest_of(component)
+    native = fixed_sources() | prefix(component) | functions(component, guest.name if guest else "")
+    native |= tables(component, GUID, plant=guest is not None)
     extra: list[str] = []
+    if guest:
+        native |= plant_sources() | {"plant_tables.c": guest.tables}
+        for name, content in guest.resources(resolve(["host"])).items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        extra = ["-ldl"]
+    sources = _written(native | {"fmu.h": fmu_h(component, folder / "resources")}, folder / "native")
     if kind == RELAY:
         subprocess.run([*COMPILE, "-shared", *sources, "-lm", "-o", host / "libpythonfmu-export.so"], check=True)
         # The relay asks the process for a Python.
         python = b"int Py_IsInitialized(void);\nint Py_IsInitialized(void) { return 1; }\n"
-        relayed = relay(component, GUID) | {"fmu.h": fmu_h(component), "python.c": python}
+        relayed = relay(component, GUID) | {"fmu.h": fmu_h(component, folder / "resources"), "python.c": python}
         sources = _written(relayed, folder / "relay")
         extra = ["-rdynamic", "-ldl"]
     program = host / "fuzz"

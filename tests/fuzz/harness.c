@@ -184,7 +184,7 @@ static void instantiate(Slave *slave) {
         return;
     calls++;
     slave->instance = fmi2Instantiate(how == 255 ? NULL : how == 254 ? "" : "%n instance", how == 253 ? fmi2ModelExchange : fmi2CoSimulation,
-                                      how == 252 ? NULL : how == 251 ? "{}" : GUID, how == 250 ? NULL : "",
+                                      how == 252 ? NULL : how == 251 ? "{}" : GUID, how == 250 ? NULL : RESOURCES,
                                       how == 249 ? NULL : how == 248 ? &half : how == 247 ? &quiet : &callbacks, fmi2False,
                                       how % 2 == 0);
     slave->now = 0;
