@@ -9,10 +9,12 @@ from pathlib import Path
 
 import casadi as ca
 
+from fmu_src.native import compiler
 from fmu_src.native.compiler import compile_library
 from fmu_src.native.sources import FMI_HEADERS, fixed_sources
 from fmu_src.platforms import PLATFORMS
 from observers.model import Model, Variable
+from once import LIBRARIES, once
 from strict_fmu import HOST
 
 SOURCE = Path(__file__).parent / "plants" / "plants.c"
@@ -28,6 +30,16 @@ def compiled(folder: Path, platform: str = HOST) -> bytes:
     for header in FMI_HEADERS:
         (folder / header).write_bytes(fixed_sources()[header])
     return compile_library("plants", folder, platform)
+
+
+def library() -> bytes:
+    """The library of plants.c for this machine, compiled once."""
+    made_of = digest(SOURCE.read_bytes() + repr(compiler.FLAGS).encode())
+
+    def fill(folder: Path) -> None:
+        (folder / "library").write_bytes(compiled(folder))
+
+    return (once(LIBRARIES / f"plants-{made_of}", fill) / "library").read_bytes()
 
 
 def digest(content: bytes) -> str:

@@ -36,6 +36,10 @@ static const char *behind_scheme(const char *uri)
         else if (has_drive(path + 2))
             path += 2; /* two solidi where three belong */
     }
+#ifndef _WIN32
+    while (path[0] == '/' && path[1] == '/')
+        path++; /* four, of importers that put a path with its own behind three */
+#endif
     return path[0] == '/' && has_drive(path + 1) ? path + 1 : path;
 }
 

@@ -9,29 +9,17 @@ import pytest
 
 import plant_fmu
 from fmu_src import PlantFMU
-from fmu_src.native import compiler
-from once import LIBRARIES, compiled_once, once
+from once import compiled_once
 
 Plants = Callable[..., Path]
 
 
-@pytest.fixture(scope="session")
-def plant_library() -> bytes:
-    """The library of plants.c for this machine."""
-    source = plant_fmu.digest(plant_fmu.SOURCE.read_bytes() + repr(compiler.FLAGS).encode())
-
-    def fill(folder: Path) -> None:
-        (folder / "library").write_bytes(plant_fmu.compiled(folder))
-
-    return (once(LIBRARIES / f"plants-{source}", fill) / "library").read_bytes()
-
-
 @pytest.fixture
-def plants(plant_library: bytes, tmp_path: Path) -> Plants:
+def plants(tmp_path: Path) -> Plants:
     """plants(kind, **choices) -> the FMU of that kind."""
 
-    def write(kind: str, library: bytes = plant_library, **choices: object) -> Path:
-        return plant_fmu.write(tmp_path / f"{kind}.fmu", library, kind, **choices)  # type: ignore[arg-type]
+    def write(kind: str, library: bytes | None = None, **choices: object) -> Path:
+        return plant_fmu.write(tmp_path / f"{kind}.fmu", library or plant_fmu.library(), kind, **choices)  # type: ignore[arg-type]
 
     return write
 
