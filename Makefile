@@ -36,6 +36,7 @@ bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python -m benchmarks.linear_gain
 	$(BIN)/python -m benchmarks.elementary
 	$(BIN)/python -m benchmarks.compliance
+	$(BIN)/python -m benchmarks.plant_inside
 
 trust: setup ## print how often observers are wrong, and how often silently, under twenty corruptions of the measurements
 	$(BIN)/python -m benchmarks.trust

@@ -122,8 +122,8 @@ static double nanoseconds(void)
 
 int main(int argc, char **argv)
 {
-    if (argc < 9)
-        fail("arguments", "LIBRARY GUID STEP RUNS SAMPLES RECORD INPUTS OUTPUTS [REFERENCE=VALUE ...]");
+    if (argc < 10)
+        fail("arguments", "LIBRARY GUID STEP RUNS SAMPLES RECORD INPUTS OUTPUTS RESOURCES [REFERENCE=VALUE ...]");
     const Fmu fmu = load(argv[1]);
     const double h = strtod(argv[3], NULL);
     const long runs = strtol(argv[4], NULL, 10);
@@ -139,13 +139,13 @@ int main(int argc, char **argv)
         fail("no memory for", argv[6]);
 
     const fmi2CallbackFunctions callbacks = {say, calloc, free, NULL, NULL};
-    fmi2Component instance = fmu.instantiate("driven", fmi2CoSimulation, argv[2], "", &callbacks, fmi2False, fmi2False);
+    fmi2Component instance = fmu.instantiate("driven", fmi2CoSimulation, argv[2], argv[9], &callbacks, fmi2False, fmi2False);
     if (!instance)
         fail("fmi2Instantiate refused", argv[1]);
     const fmi2String errors[] = {"logStatusError"};
     check(fmu.log(instance, fmi2True, 1, errors), "fmi2SetDebugLogging");
     for (long run = 0; run < runs; run++) {
-        for (int i = 9; i < argc; i++) {
+        for (int i = 10; i < argc; i++) {
             char *value;
             const fmi2ValueReference parameter = (fmi2ValueReference)strtoul(argv[i], &value, 10);
             if (*value != '=')

@@ -108,6 +108,7 @@ def command(
         str(directory / "record.bin"),
         ",".join(map(str, fmu.references(experiment.inputs))),
         ",".join(map(str, fmu.references(experiment.outputs))),
+        (fmu.directory / "resources").resolve().as_uri(),
         *(
             f"{reference}={float(experiment.start[name])!r}"
             for name, reference in zip(experiment.start, fmu.references(experiment.start), strict=True)

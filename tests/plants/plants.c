@@ -9,11 +9,16 @@
 
 #define MOST 64
 
+typedef enum { VAN_DER_POL, ROD, CHOOSES, CRASH, DELAY, DISCARD, ENDLESS, ENDS, ERROR, EXPLICIT_TIME, FAILS_TO_START, FATAL, LATE_EVENT, NO_RESET, ONCE, PENDULUM, PRINTS, RELAY, TIME_EVENT, WRITES, WRONG_SLOPES } Kind;
+static const char *const KINDS[] = {"van_der_pol", "rod", "chooses", "crash", "delay", "discard", "endless", "ends", "error", "explicit_time", "fails_to_start", "fatal", "late_event", "no_reset", "once", "pendulum", "prints", "relay", "time_event", "writes", "wrong_slopes"};
+#define N_KINDS (sizeof KINDS / sizeof *KINDS)
+
 typedef enum { INSTANTIATED, INITIALIZATION, EVENT, CONTINUOUS, OVER } Mode;
 
 typedef struct {
     const fmi2CallbackFunctions *callbacks;
-    char kind[32];
+    Kind kind;
+    int places; /* of a rod */
     int n, calls, side;
     Mode mode;
     double t, earliest, x[MOST], p[4], u[2], kept;
@@ -21,11 +26,6 @@ typedef struct {
 } Plant;
 
 static int alive; /* instances of kind `once` */
-
-static int is(const Plant *m, const char *kind)
-{
-    return strcmp(m->kind, kind) == 0;
-}
 
 static void begin(Plant *m)
 {
@@ -37,13 +37,13 @@ static void begin(Plant *m)
     m->p[0] = 1.5; /* mu; c of the pendulum; k of the rod */
     m->p[1] = 2;   /* m */
     m->x[0] = 1;
-    m->x[1] = is(m, "pendulum") ? 0.3 : 0.5;
+    m->x[1] = m->kind == PENDULUM ? 0.3 : 0.5;
     m->n = 2;
-    if (is(m, "pendulum")) {
+    if (m->kind == PENDULUM) {
         m->n = 4;
         m->p[0] = 40;
-    } else if (strncmp(m->kind, "rod", 3) == 0) {
-        m->n = atoi(m->kind + 3);
+    } else if (m->kind == ROD) {
+        m->n = m->places;
         for (int i = 0; i < m->n; i++)
             m->x[i] = 0;
         m->p[0] = 20;
@@ -73,8 +73,14 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (!m)
         return NULL;
     m->callbacks = callbacks;
-    snprintf(m->kind, sizeof m->kind, "%s", guid);
-    if (is(m, "once") && alive++ > 0) {
+    for (size_t k = 0; k < N_KINDS; k++) /* any other name is one more van der Pol */
+        if (strcmp(guid, KINDS[k]) == 0)
+            m->kind = (Kind)k;
+    if (strncmp(guid, "rod", 3) == 0) {
+        m->kind = ROD;
+        m->places = atoi(guid + 3);
+    }
+    if (m->kind == ONCE && alive++ > 0) {
         alive--;
         callbacks->freeMemory(m);
         return NULL;
@@ -88,7 +94,7 @@ void fmi2FreeInstance(fmi2Component c)
     Plant *m = c;
     if (!m)
         return;
-    if (is(m, "once"))
+    if (m->kind == ONCE)
         alive--;
     m->callbacks->freeMemory(m);
 }
@@ -120,7 +126,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c)
     if (m->mode != INSTANTIATED)
         return fmi2Error;
     m->mode = INITIALIZATION;
-    return is(m, "fails_to_start") ? fmi2Error : fmi2OK;
+    return m->kind == FAILS_TO_START ? fmi2Error : fmi2OK;
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c)
@@ -141,7 +147,7 @@ fmi2Status fmi2Terminate(fmi2Component c)
 fmi2Status fmi2Reset(fmi2Component c)
 {
     Plant *m = c;
-    if (is(m, "no_reset"))
+    if (m->kind == NO_RESET)
         return fmi2Error;
     begin(m);
     return fmi2OK;
@@ -150,12 +156,12 @@ fmi2Status fmi2Reset(fmi2Component c)
 static void derivatives(Plant *m, double d[])
 {
     const double *x = m->x, *p = m->p;
-    if (is(m, "pendulum")) { /* a mass on a spring that swings: r, phi, v, w */
+    if (m->kind == PENDULUM) { /* a mass on a spring that swings: r, phi, v, w */
         d[0] = x[2];
         d[1] = x[3];
         d[2] = x[0] * x[3] * x[3] + 9.81 * cos(x[1]) - p[0] / p[1] * (x[0] - 1) + m->u[0] / p[1];
         d[3] = -(9.81 * sin(x[1]) + 2 * x[2] * x[3]) / x[0];
-    } else if (strncmp(m->kind, "rod", 3) == 0) { /* heated at its left end, losing heat at each place */
+    } else if (m->kind == ROD) { /* heated at its left end, losing heat at each place */
         for (int i = 0; i < m->n; i++) {
             double left = i > 0 ? x[i - 1] : m->u[0], right = i < m->n - 1 ? x[i + 1] : x[i];
             d[i] = p[0] * (left - 2 * x[i] + right) - 0.1 * x[i] * x[i];
@@ -164,18 +170,18 @@ static void derivatives(Plant *m, double d[])
         d[0] = x[1];
         d[1] = p[0] * (1 - x[0] * x[0]) * x[1] - x[0] + m->u[0];
     }
-    if (is(m, "relay")) {
+    if (m->kind == RELAY) {
         if (x[0] > 0.2)
             m->side = 1;
         if (x[0] < -0.2)
             m->side = -1;
         d[1] += m->side;
     }
-    if (is(m, "delay"))
+    if (m->kind == DELAY)
         d[1] += m->kept;
-    if (is(m, "explicit_time"))
+    if (m->kind == EXPLICIT_TIME)
         d[1] += sin(3 * m->t);
-    if (is(m, "writes"))
+    if (m->kind == WRITES)
         m->x[0] += 1e-3;
 }
 
@@ -185,18 +191,18 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real d[], size_t n)
     if (m->mode != CONTINUOUS || n != (size_t)m->n)
         return fmi2Error;
     m->calls++;
-    if (is(m, "crash") && m->calls == 3)
+    if (m->kind == CRASH && m->calls == 3)
         abort();
-    if (is(m, "prints"))
+    if (m->kind == PRINTS)
         printf("called %d times\n", m->calls);
-    if (m->x[0] > 2.5 && is(m, "discard"))
+    if (m->x[0] > 2.5 && m->kind == DISCARD)
         return fmi2Discard;
-    if (m->x[0] > 2.5 && is(m, "error")) {
+    if (m->x[0] > 2.5 && m->kind == ERROR) {
         m->mode = OVER;
         m->callbacks->logger(m->callbacks->componentEnvironment, "plant", fmi2Error, "error", "too far: 100%% of %g", 2.5);
         return fmi2Error;
     }
-    if (m->x[0] > 2.5 && is(m, "fatal")) {
+    if (m->x[0] > 2.5 && m->kind == FATAL) {
         m->mode = OVER;
         return fmi2Fatal;
     }
@@ -253,12 +259,12 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
     Plant *m = c;
     memset(info, 0, sizeof *info);
-    if (is(m, "time_event") || (is(m, "late_event") && m->events > 0)) {
+    if (m->kind == TIME_EVENT || (m->kind == LATE_EVENT && m->events > 0)) {
         info->nextEventTimeDefined = fmi2True;
-        info->nextEventTime = is(m, "late_event") ? 15 : m->t + 1;
+        info->nextEventTime = m->kind == LATE_EVENT ? 15 : m->t + 1;
     }
-    info->terminateSimulation = is(m, "ends");
-    info->newDiscreteStatesNeeded = is(m, "endless");
+    info->terminateSimulation = m->kind == ENDS;
+    info->newDiscreteStatesNeeded = m->kind == ENDLESS;
     return fmi2OK;
 }
 
@@ -274,7 +280,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set, fmi2
     (void)no_set;
     m->kept = m->x[0];
     m->earliest = m->t;
-    *event = is(m, "chooses") ? fmi2True : fmi2False;
+    *event = m->kind == CHOOSES ? fmi2True : fmi2False;
     *end = fmi2False;
     return fmi2OK;
 }
@@ -422,7 +428,7 @@ static double slope(const Plant *m, int i, unsigned reference)
 {
     const double *x = m->x, *p = m->p;
     int j = reference < 100 ? (int)reference : reference == 300 ? -1 : -2;
-    if (is(m, "pendulum")) {
+    if (m->kind == PENDULUM) {
         if (i < 2)
             return j == i + 2;
         if (i == 2)
@@ -452,7 +458,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                                  : 0;
             value[i] += one * seed[k];
         }
-        if (is(m, "wrong_slopes"))
+        if (m->kind == WRONG_SLOPES)
             value[i] = -value[i];
     }
     return fmi2OK;

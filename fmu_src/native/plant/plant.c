@@ -28,12 +28,10 @@ static void listen(fmi2ComponentEnvironment environment, fmi2String name, fmi2St
     self->listen(self->listener, status, text);
 }
 
-/* Whether the call did what it should. After an error the plant is initialised anew before it is asked again; a refusal
+/* Of a call that did not do what it should: false. After an error the plant is initialised anew before it is asked again; a refusal
    concerns the point only. */
 bool plant_judge(Plant *self, const char *function, fmi2Status status)
 {
-    if (status == fmi2OK || status == fmi2Warning)
-        return true;
     if (status == fmi2Discard)
         return false;
     self->usable = false;
@@ -42,9 +40,6 @@ bool plant_judge(Plant *self, const char *function, fmi2Status status)
              status == fmi2Fatal ? "fmi2Fatal, after which it can't be asked any more" : "an error");
     return false;
 }
-
-#define CALL(function, ...) plant_judge(self, #function, self->call.function(self->slave, __VA_ARGS__))
-#define CALL_PLAIN(function) plant_judge(self, #function, self->call.function(self->slave))
 
 static bool instantiate(Plant *self)
 {
@@ -60,13 +55,13 @@ static bool settle(Plant *self)
     fmi2EventInfo info;
     for (int i = 0; i < MOST_ITERATIONS; i++) {
         memset(&info, 0, sizeof info);
-        if (!CALL(fmi2NewDiscreteStates, &info))
+        if (!JUDGED(self, fmi2NewDiscreteStates, &info))
             return false;
         if (info.terminateSimulation)
             break;
         if (!info.newDiscreteStatesNeeded) {
             self->next_event = info.nextEventTimeDefined ? info.nextEventTime : DBL_MAX;
-            return CALL_PLAIN(fmi2EnterContinuousTimeMode);
+            return JUDGED_PLAIN(self, fmi2EnterContinuousTimeMode);
         }
     }
     return plant_judge(self, "fmi2NewDiscreteStates", fmi2Error);
@@ -90,9 +85,9 @@ static bool initialise(Plant *self, double time, const double *parameters)
     size_t n = plant_tables.n_parameters;
     if (n > 0)
         memcpy(self->parameters, parameters, n * sizeof *parameters);
-    self->usable = CALL(fmi2SetupExperiment, fmi2False, 0, time, fmi2False, 0) &&
-                   (n == 0 || CALL(fmi2SetReal, plant_tables.parameters, n, parameters)) &&
-                   CALL_PLAIN(fmi2EnterInitializationMode) && CALL_PLAIN(fmi2ExitInitializationMode) && settle(self);
+    self->usable = JUDGED(self, fmi2SetupExperiment, fmi2False, 0, time, fmi2False, 0) &&
+                   (n == 0 || JUDGED(self, fmi2SetReal, plant_tables.parameters, n, parameters)) &&
+                   JUDGED_PLAIN(self, fmi2EnterInitializationMode) && JUDGED_PLAIN(self, fmi2ExitInitializationMode) && settle(self);
     return self->usable;
 }
 
@@ -100,46 +95,58 @@ static bool initialise(Plant *self, double time, const double *parameters)
 static bool tune(Plant *self, const double *parameters)
 {
     size_t n = plant_tables.n_parameters;
-    if (!CALL(fmi2SetTime, self->origin) || !CALL_PLAIN(fmi2EnterEventMode))
+    if (!JUDGED(self, fmi2SetTime, self->origin) || !JUDGED_PLAIN(self, fmi2EnterEventMode))
         return false;
     self->usable = false; /* until it is back */
     for (size_t i = 0; i < n; i++)
-        if (parameters[i] != self->parameters[i] && !CALL(fmi2SetReal, plant_tables.parameters + i, 1, parameters + i))
+        if (parameters[i] != self->parameters[i] && !JUDGED(self, fmi2SetReal, plant_tables.parameters + i, 1, parameters + i))
             return false;
     memcpy(self->parameters, parameters, n * sizeof *parameters);
     self->usable = settle(self);
     return self->usable;
 }
 
-static bool set_parameters(Plant *self, const double *parameters)
+/* As the point wants them; a fixed one costs an initialisation. What is no number is none. */
+static bool set_parameters(Plant *self, const Point *point)
 {
-    bool changed = false;
-    for (size_t i = 0; i < plant_tables.n_parameters; i++) {
-        if (parameters[i] != self->parameters[i]) {
-            if (plant_tables.fixed[i])
-                return initialise(self, self->origin, parameters);
-            changed = true;
-        }
+    size_t known = plant_tables.n_known, n = plant_tables.n_parameters;
+    bool fixed = false;
+    for (size_t i = 0; i < n; i++) {
+        self->wanted[i] = i < known ? point->known[i] : point->unknown[i - known];
+        if (!isfinite(self->wanted[i]))
+            return false;
+        fixed = fixed || (self->wanted[i] != self->parameters[i] && plant_tables.fixed[i]);
     }
-    return !changed || tune(self, parameters);
+    if (!self->usable || fixed || point->t < self->origin)
+        return initialise(self, fmin(point->t, self->origin), self->wanted);
+    return tune(self, self->wanted);
 }
 
-/* Ready to answer for this point: states x, inputs u, parameters p, time t, all finite. */
-bool plant_set(Plant *self, const double *x, const double *u, const double *p, double t)
+static bool has_changed(const Plant *self, const Point *point)
+{
+    size_t known = plant_tables.n_known, unknown = plant_tables.n_parameters - known;
+    for (size_t i = 0; i < known; i++)
+        if (point->known[i] != self->parameters[i])
+            return true;
+    for (size_t i = 0; i < unknown; i++)
+        if (point->unknown[i] != self->parameters[known + i])
+            return true;
+    return false;
+}
+
+/* Ready to answer for this point, whose states, inputs and time are finite. */
+bool plant_set(Plant *self, const Point *point)
 {
     if (self->dead)
         return false;
-    if (!self->usable || t < self->origin) {
-        if (!initialise(self, fmin(t, self->origin), p))
-            return false;
-    } else if (!set_parameters(self, p)) {
+    if ((!self->usable || point->t < self->origin || has_changed(self, point)) && !set_parameters(self, point))
         return false;
-    }
-    if (t > self->next_event)
+    if (point->t > self->next_event)
         return false;
-    return CALL(fmi2SetTime, t) && CALL(fmi2SetContinuousStates, x, plant_tables.n_states) &&
-           (plant_tables.n_inputs == 0 ||
-            CALL(fmi2SetReal, plant_tables.driven + plant_tables.n_states, plant_tables.n_inputs, u));
+    return JUDGED(self, fmi2SetTime, point->t) &&
+           JUDGED(self, fmi2SetContinuousStates, point->x, plant_tables.n_states) &&
+           (plant_tables.n_inputs == 0 || JUDGED(self, fmi2SetReal, plant_tables.driven + plant_tables.n_states,
+                                                 plant_tables.n_inputs, point->u));
 }
 
 static bool load(Plant *self, char *words, size_t n_words)
@@ -181,7 +188,7 @@ void *plant_open(const char *resources, const char *name, const fmi2CallbackFunc
     }
     size_t np = plant_tables.n_parameters, n = plant_tables.n_states + plant_tables.n_inputs + np;
     size_t most = plant_tables.n_states > plant_tables.n_outputs ? plant_tables.n_states : plant_tables.n_outputs;
-    size_t head = (sizeof(Plant) + 15) / 16 * 16, numbers = np + 3 * n + 3 * most;
+    size_t head = (sizeof(Plant) + 15) / 16 * 16, numbers = 2 * np + 4 * n + 3 * most;
     size_t bytes = head + numbers * sizeof(double) + strlen(name) + 1;
     char *block = callbacks->allocateMemory(1, bytes);
     if (!block) {
@@ -192,7 +199,9 @@ void *plant_open(const char *resources, const char *name, const fmi2CallbackFunc
     Plant *self = (Plant *)(void *)block;
     double *values = (double *)(void *)(block + head);
     self->parameters = values;
-    self->point = self->parameters + np;
+    self->wanted = self->parameters + np;
+    self->zeros = self->wanted + np;
+    self->point = self->zeros + n;
     self->seeds = self->point + n;
     self->moved = self->seeds + n;
     self->beside = self->moved + n;

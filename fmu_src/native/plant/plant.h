@@ -83,12 +83,20 @@ typedef struct {
     double origin;       /* the time of the initialisation, and of every event since [s] */
     double next_event;   /* from here on it would be another function [s] */
     double *parameters;  /* as they are set */
+    double *wanted;      /* as they are to be */
+    double *zeros;       /* for arguments that are none */
     double *point;       /* states, inputs, parameters at which a derivative is asked for */
     double *seeds;       /* their direction */
     double *moved;       /* as they are handed in */
     double *beside;      /* results there: as many as the longer of states and outputs, three times */
     char words[160];     /* what failed last */
 } Plant;
+
+/* What is asked for: states, inputs, known and unknown parameters, time [s]. */
+typedef struct {
+    const double *x, *u, *known, *unknown;
+    double t;
+} Point;
 
 BEGIN_INTERNAL
 
@@ -102,8 +110,16 @@ bool plant_begin(void *plant, double t0);
 void plant_enter(void *plant);
 void plant_close(void *plant);
 const char *plant_words(const void *plant);
-bool plant_set(Plant *self, const double *x, const double *u, const double *p, double t);
+bool plant_set(Plant *self, const Point *point);
 bool plant_judge(Plant *self, const char *function, fmi2Status status);
+
+/* Whether a function of the plant did what it should. */
+#define JUDGED(self, function, ...) plant_is_good(self, #function, (self)->call.function((self)->slave, __VA_ARGS__))
+#define JUDGED_PLAIN(self, function) plant_is_good(self, #function, (self)->call.function((self)->slave))
+static inline bool plant_is_good(Plant *self, const char *function, fmi2Status status)
+{
+    return status == fmi2OK || status == fmi2Warning || plant_judge(self, function, status);
+}
 
 /* plant_library.c: the platform's loader. The path is in UTF-8; `words` takes the loader's. */
 void *plant_library_open(const char *path, char *words, size_t n_words);

@@ -50,38 +50,47 @@ static bool finite(const double *values, size_t n)
 {
     double sum = 0;
     for (size_t i = 0; i < n; i++)
-        sum += values[i] * 0;
+        sum += 0 * values[i];
     return sum == 0;
 }
 
-/* The results at (v, t), v of states, inputs and parameters; NaN where there are none. */
-static void answer(Plant *self, const Result *result, const double *v, double t, double *to)
+/* The results there; NaN where there are none. */
+static void answer(Plant *self, const Result *result, const Point *point, double *to)
 {
-    const PlantTables *k = &plant_tables;
-    const double *u = v + k->n_states, *p = u + k->n_inputs;
-    bool good = finite(v, k->n_states + k->n_inputs + k->n_parameters) && finite(&t, 1) && plant_set(self, v, u, p, t);
+    double t = point->t;
+    bool good = finite(point->x, plant_tables.n_states) && finite(point->u, plant_tables.n_inputs) && finite(&t, 1) &&
+                plant_set(self, point);
     if (good && result->is_rate)
-        good = plant_judge(self, "fmi2GetDerivatives", self->call.fmi2GetDerivatives(self->slave, to, result->n));
+        good = JUDGED(self, fmi2GetDerivatives, to, result->n);
     else if (good)
-        good = plant_judge(self, "fmi2GetReal", self->call.fmi2GetReal(self->slave, result->of, result->n, to));
+        good = JUDGED(self, fmi2GetReal, result->of, result->n, to);
     if (!good)
         fill(to, result->n, NAN);
+}
+
+/* At states, inputs and parameters that follow each other. */
+static Point point_of(const double *v, double t)
+{
+    const PlantTables *k = &plant_tables;
+    const double *u = v + k->n_states, *known = u + k->n_inputs;
+    Point point = {v, u, known, known + k->n_known, t};
+    return point;
 }
 
 static int evaluate(const Result *result, const double **arguments, double *to)
 {
     Plant *self = plant_current;
-    const PlantTables *k = &plant_tables;
     if (!self || self->dead)
         return 1;
     if (!to)
         return 0;
-    double *v = self->moved, *u = v + k->n_states, *p = u + k->n_inputs;
-    copy(v, arguments[X], k->n_states);
-    copy(u, arguments[U], k->n_inputs);
-    copy(p, arguments[KNOWN], k->n_known);
-    copy(p + k->n_known, arguments[UNKNOWN], k->n_parameters - k->n_known);
-    answer(self, result, v, arguments[TIME] ? *arguments[TIME] : 0, to);
+    Point point = {arguments[X], arguments[U], arguments[KNOWN], arguments[UNKNOWN],
+                   arguments[TIME] ? *arguments[TIME] : 0};
+    const double **groups[] = {&point.x, &point.u, &point.known, &point.unknown};
+    for (int i = 0; i < 4; i++)
+        if (!*groups[i])
+            *groups[i] = self->zeros;
+    answer(self, result, &point, to);
     return self->dead;
 }
 
@@ -98,7 +107,8 @@ static void beside(Plant *self, const Result *result, const Direction *d, double
     memcpy(self->moved, d->point, n * sizeof(double));
     for (size_t i = d->first; i < d->end; i++)
         self->moved[i] += step * d->seed[i];
-    answer(self, result, self->moved, t, to);
+    Point point = point_of(self->moved, t);
+    answer(self, result, &point, to);
 }
 
 /* Central where both sides have results, else to the side that has. */
@@ -150,8 +160,9 @@ static void add_time(Plant *self, const Result *result, const double *point, dou
     double step = STEP * fmax(fabs(t), 1);
     double *one = self->beside, *two = one + result->n;
     bool central = t - step >= self->origin;
-    answer(self, result, point, t + step, one);
-    answer(self, result, point, central ? t - step : t + 2 * step, two);
+    Point later = point_of(point, t + step), other = point_of(point, central ? t - step : t + 2 * step);
+    answer(self, result, &later, one);
+    answer(self, result, &other, two);
     for (size_t i = 0; i < result->n; i++)
         sum[i] += seed * (central ? one[i] - two[i] : 4 * one[i] - 3 * here[i] - two[i]) / (2 * step);
 }
@@ -162,12 +173,10 @@ static void add_directional(Plant *self, const Result *result, const double *poi
     const PlantTables *k = &plant_tables;
     size_t driven = k->n_states + k->n_inputs;
     double *to = self->beside;
-    bool good = finite(point, driven + k->n_parameters) && finite(&t, 1) &&
-                plant_set(self, point, point + k->n_states, point + driven, t);
+    Point at = point_of(point, t);
+    bool good = finite(point, driven) && finite(&t, 1) && plant_set(self, &at);
     if (good)
-        good = plant_judge(self, "fmi2GetDirectionalDerivative",
-                           self->call.fmi2GetDirectionalDerivative(self->slave, result->of, result->n, k->driven, driven,
-                                                                   self->seeds, to));
+        good = JUDGED(self, fmi2GetDirectionalDerivative, result->of, result->n, k->driven, driven, self->seeds, to);
     for (size_t i = 0; i < result->n; i++)
         sum[i] += good ? to[i] : NAN;
 }
