@@ -1,5 +1,7 @@
 /* What the plant's own functions take for an evaluation, called one after the other as an observer with it inside calls them:
    LIBRARY GUID N prints nanoseconds for each of N evaluations. */
+#define _POSIX_C_SOURCE 199309L
+
 #include <dlfcn.h>
 #include <stdio.h>
 #include <stdlib.h>

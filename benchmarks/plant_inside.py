@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -57,7 +58,7 @@ def main() -> int:
         folder = Path(scratch).resolve()
         driver = build_driver(folder)
         library = plant_fmu.compiled(folder)
-        pairs: dict[str, tuple[Model, dict[str, list[str]]]] = {
+        pairs: dict[str, tuple[Model, dict[str, Any]]] = {
             "van_der_pol": (plant_fmu.van_der_pol(), {"unknown_parameters": ["mu"]}),
             "pendulum": (plant_fmu.pendulum(), {"parameters": ["mass.m"], "unknown_parameters": ["spring.c"]}),
         }
@@ -65,7 +66,8 @@ def main() -> int:
         for kind, (twin, chosen) in pairs.items():
             path = plant_fmu.write(folder / f"{kind}.fmu", library, kind, slopes=True)
             foreign = PlantFMU(path, outputs=["y"], inputs=["force"], **chosen)
-            for name, make in MAKERS.items():
+            # A window does not converge on what is no motion of the pendulum.
+            for name, make in list(MAKERS.items())[: 3 if kind == "van_der_pol" else 2]:
                 times, records = [], []
                 for label, model in (("equations", twin), ("inside", foreign)):
                     component = make(model, sample_time=SAMPLE_TIME)
@@ -89,8 +91,8 @@ def main() -> int:
         alone = inner(folder, library)
     kept = extra - alone <= MOST_NS
     out.print(
-        f"An evaluation of the filter for van der Pol costs {extra:.0f} ns more inside, parameter changes and all; the plant's own functions "
-        f"take {alone:.0f} ns of that, which leaves {extra - alone:.0f} (promised: {MOST_NS:.0f}): {'kept' if kept else 'NOT KEPT'}"
+        f"An evaluation of the filter for van der Pol costs {extra:.0f} ns more inside, parameter changes and all; the plant's own "
+        f"functions take {alone:.0f} ns of that, which leaves {extra - alone:.0f} (promised: {MOST_NS:.0f}): {'kept' if kept else 'NOT KEPT'}"
     )
     return 0 if kept else 1
 
