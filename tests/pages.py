@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 
+import plant_fmu
 from build_fmus import FMUS, SYSTEMS
 from tools import ROOT
 from verbs import observer_fmus
@@ -51,6 +52,8 @@ def prepare(blocks: list[Block], folder: Path, fmu: Callable[[str], Path], syste
         (folder / kind).mkdir()
         for name in sorted(set(re.findall(rf"(?:\b{kind}/|--only )(\w+)", text)) & set(known)):
             (folder / kind / f"{name}.{'fmu' if kind == 'fmus' else 'ssp'}").symlink_to(path_of(name))
+    if "describe pendulum.fmu" in text:  # a plant that somebody exported
+        plant_fmu.write(folder / "pendulum.fmu", plant_fmu.library(), "pendulum", slopes=True)
 
 
 def run_blocks(blocks: list[Block], folder: Path) -> None:

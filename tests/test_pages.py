@@ -103,3 +103,16 @@ def test_the_site_is_built_and_every_link_in_it_leads_somewhere(tmp_path: Path) 
     }
     loaded = r"<(?:script|img|link)[^>]*?(?:src|href)=\"?(https?:[^\"> ]*)"
     assert not [found for page in pages for found in re.findall(loaded, page.read_text(encoding="utf-8"))]
+
+
+def test_the_figures_of_the_plant_that_is_an_fmu_are_those_of_its_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    from figures_plant import SHOWN, figures_of, simulated
+
+    rows = re.findall(
+        r"^\| \w+ `[\w.]+` \| ([\d.]+) \S+ \| (\d+) % \|$", PAGES["docs/plant_fmu.md"].read_text(), flags=re.M
+    )
+    found = figures_of(simulated())
+    for (largest, within), name in zip(rows, SHOWN, strict=True):
+        assert found[name][0] == pytest.approx(float(largest), rel=0.05)
+        assert round(100 * found[name][1]) == int(within)
