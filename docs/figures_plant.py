@@ -57,6 +57,7 @@ def simulated(seed: int = 0) -> Run:
             sample_time=H,
             process_noise={"spring_c": 0.05},
             measurement_noise={"mass_phi": 0.01},
+            initial_std={"mass_r": 0.2, "mass_phi": 0.2, "mass_v": 0.5, "mass_w": 0.5, "spring_c": 20.0},
             guess={"spring_c": 60.0},
         )
     )
