@@ -131,6 +131,9 @@ AREAS = {
             "tests/fmu_src/native/test_unevaluated.py",
         ),
     ),
+    "plant_inside": Area(
+        ("fmu_src/plant/*.py", "fmu_src/native/plant/*.c"), ("tests/fmu_src/plant", "tests/commands/test_wrap.py")
+    ),
     "python_target": Area(("fmu_src/python/*.py",), ("tests/fmu_src/python/test_python_target.py",)),
     "compliance": Area(("fmu_src/compliance/**/*.py",), ("tests/fmu_src/compliance",)),
     "cosim": Area(
