@@ -39,7 +39,7 @@ KAPPA = Port(
 )
 
 
-MOST_ESTIMATED = 50  # with 20 the component takes 11 s to make, and the time grows with the square
+MOST_ESTIMATED = 500  # with 20 the component takes 11 s to make, and the time grows with the square
 
 
 @checked

@@ -1,7 +1,12 @@
-"""The unscented Kalman filter between samples and at a sample, in square-root form: see `observer`."""
+"""The unscented Kalman filter between samples and at a sample, in square-root form: see `observer`.
+
+Up to UNROLLED estimates every function is one expression of scalars. Beyond, it is made of loops over matrices, `loops`: C whose length
+does not grow with the third power of n.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +14,7 @@ from typing import Any
 import casadi as ca
 
 from observers import innovation_covariance, ports
-from observers.bounds import conditioned, projected
+from observers.bounds import bounded, conditioned, projected
 from observers.model import Model, Variable
 from observers.numerics import linear
 from observers.numerics.finite import HUGE, kept
@@ -18,16 +23,21 @@ from observers.numerics.operations import PARTIAL, holds
 from observers.numerics.runge_kutta import runge_kutta
 from observers.status import CODE
 from observers.status import shown as verdict_shown
+from observers.ukf import loops
 from observers.vigilance import SETTINGS, Watch, status_of, verdict
 
 NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
 ROUNDING = 1e-14  # of an output: the same of one far from 0
 NEARER = (1 / 8, 1 / 64)  # of the way from the mean to a sigma point
+UNROLLED = 8  # estimates up to which the algebra is one expression of scalars
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The filter's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name."""
+    """The filter's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name.
+
+    `looped`: the algebra is made of loops over matrices (MX), not of scalars (SX).
+    """
 
     model: Model
     watch: Watch
@@ -40,6 +50,7 @@ class Parts:
     s: SimpleNamespace
     q: SimpleNamespace
     read: ports.Inputs
+    looped: bool
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -66,7 +77,11 @@ class Parts:
 
     def around(self, mean: Any, watch: Any) -> Any:
         """The points of a mean that is as uncertain as the guess; `watch`, what the watch keeps."""
-        return self.drawn(mean, ca.diag(ca.sqrt(self.watch.again(watch)) * self.q.spread))
+        return self.drawn(mean, self.first(watch))
+
+    def first(self, watch: Any) -> Any:
+        """The root of the guess's covariance."""
+        return ca.diag(ca.sqrt(self.watch.again(watch)) * self.q.spread)
 
     def drawn(self, mean: Any, root: Any) -> Any:
         """The sigma points (n x n_points) of mean (n) and root (n x n), P = root root', within the bounds."""
@@ -91,11 +106,21 @@ class Parts:
         variances = ca.mtimes(off**2, self.weights) + self.q.noise**2 * s.elapsed
         return self.watch.deviations(s.watch, variances)
 
-    def at(self, function: ca.Function, x: Any, time: Any) -> Any:
-        """`function` of the model's arguments at the point x."""
+    def each(self, body: Callable[..., Any], points: Any, *given: Any) -> Any:
+        """body(x, *given) at each of the points (n x N), a column each."""
+        if self.looped:
+            return loops.each(body, points, *given)
+        return ca.horzcat(*[body(points[:, i], *given) for i in range(points.shape[1])])
+
+    def at(self, function: ca.Function) -> Callable[..., Any]:
+        """`function` of the model's arguments as one of (x, known inputs, parameters, t), x (n) a point."""
         nx = len(self.model.states)
-        part = Layout(x=nx, theta=self.n - nx).unpack(x)
-        return function(part.x, part.theta, self.read.known, self.q.model, time)
+
+        def body(x: Any, known: Any, parameters: Any, time: Any) -> Any:
+            part = Layout(x=nx, theta=self.n - nx).unpack(x)
+            return function(part.x, part.theta, known, parameters, time)
+
+        return body
 
 
 def parts(model: Model, noise_known: bool) -> Parts:
@@ -108,9 +133,11 @@ def parts(model: Model, noise_known: bool) -> Parts:
     settings = Layout(
         guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, **SETTINGS, sample_time=1,
     )  # fmt: skip
-    z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model)), ca.SX.sym("p", settings.total)
-    t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    return Parts(model, watch, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u))
+    looped = n > UNROLLED
+    sym = ca.MX.sym if looped else ca.SX.sym
+    z, u, p = sym("z", state.total), sym("u", ports.n_inputs(model)), sym("p", settings.total)
+    t, h = sym("t"), sym("h")
+    return Parts(model, watch, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u), looped)
 
 
 def start(v: Parts) -> ca.Function:
@@ -143,9 +170,12 @@ def flow(v: Parts) -> ca.Function:
     within = [projected(v.model.states, eq.x), projected(v.model.unknown_parameters, eq.theta)]
     rhs = ca.Function("rhs", [eq.x, eq.theta, eq.u, eq.p, eq.t], [ca.vertcat(eq.ode, still)])
     rhs = ca.Function("within", [eq.x, eq.theta, eq.u, eq.p, eq.t], [rhs(*within, eq.u, eq.p, eq.t)])
-    moved = ca.horzcat(
-        *[runge_kutta(lambda x, time: v.at(rhs, x, time), now[:, i], v.t, v.h) for i in range(v.n_points)]
-    )
+    rate = v.at(rhs)
+
+    def step(x: Any, known: Any, parameters: Any, t: Any, h: Any) -> Any:
+        return runge_kutta(lambda x, time: rate(x, known, parameters, time), x, t, h)
+
+    moved = v.each(step, now, v.read.known, v.q.model, v.t, v.h)
     sound = ca.sumsqr(moved) < HUGE
     back = ca.if_else(s.undoable, s.before, v.q.guess)
     after = v.state.replace(
@@ -165,34 +195,38 @@ def jump(v: Parts) -> ca.Function:
     s, q, read, weights, n_points = v.s, v.q, v.read, v.weights, v.n_points
     eq = v.model.equations
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
-    mean, root = v.mean, _root(v.points, weights, ca.diag(q.noise * ca.sqrt(q.sample_time)))
+    mean, root = v.mean, _root(_off(v.points, weights), weights, q.noise * ca.sqrt(q.sample_time))
     drawn = v.drawn(mean, root)
     seen = _seen(v, measure, mean, drawn)
     if any(output.wrap for output in v.model.outputs):  # on the circle, around the prediction
-        near = seen[:, 0]
-        seen = ca.horzcat(*[near + ports.wrapped(v.model, seen[:, i] - near) for i in range(n_points)])
+        seen = v.each(lambda point, near: near + ports.wrapped(v.model, point - near), seen, seen[:, 0])
     expected = ca.mtimes(seen, weights)
     residual = ports.wrapped(v.model, read.y - expected)
     valid, rejected = ports.judged(residual, read.offered)
     innovation = ca.if_else(valid, residual, 0)
-    dx = drawn - ca.repmat(mean, 1, n_points)
     off = seen - ca.repmat(expected, 1, n_points)
     variances = ca.mtimes(off**2, weights) + q.sensor**2
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
-    dy, heard = ca.diag(ca.SX(acting)) @ off, ca.if_else(acting, innovation, 0)
-    noise_root = ca.diag(ca.if_else(acting, q.sensor, 1))
-    K, root_after, squared = _gain(dx, dy, weights, noise_root, acting, heard, ROUNDING * ca.fabs(expected))
+    dx = drawn - ca.repmat(mean, 1, n_points)
+    dy, heard = ca.diag(acting) @ off, ca.if_else(acting, innovation, 0)
+    noise = ca.if_else(acting, q.sensor, 1)
+    K, Sy, squared = _gain(dx, dy, weights, noise, heard, ROUNDING * ca.fabs(expected))
+    root_after = _root_after(v, root, dx, dy, K, Sy, acting, noise)
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     corrected = conditioned(v.variables, mean + ca.mtimes(K, heard), ca.mtimes(root_after, root_after.T))
-    redrawn = v.drawn(corrected, root_after)
     # A correction that fails leaves the prediction; after a second one in a row the points start again around the guess.
+    redrawn = ca.horzcat(corrected, root_after) if v.looped else v.drawn(corrected, root_after)
     finite = ca.sumsqr(ca.vertcat(ca.vec(redrawn), heard)) < HUGE
-    lost = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(drawn) < HUGE))
+    failing = ca.horzcat(mean, root) if v.looped else drawn
+    lost = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(failing) < HUGE))
     lost = ca.logic_or(ca.logic_and(lost, ca.logic_not(finite)), said.restart)
     anew = ca.logic_or(lost, said.inflate)
     estimate = ca.if_else(lost, q.guess, ca.if_else(finite, corrected, mean))
-    points = ca.if_else(anew, v.around(estimate, said.memory), ca.if_else(finite, redrawn, drawn))
+    if v.looped:  # drawn once, from the root that is chosen
+        points = v.drawn(estimate, ca.if_else(anew, v.first(said.memory), ca.if_else(finite, root_after, root)))
+    else:
+        points = ca.if_else(anew, v.around(estimate, said.memory), ca.if_else(finite, redrawn, drawn))
     after = v.state.pack(
         {
             "points": ca.vec(points),
@@ -232,34 +266,45 @@ def output(v: Parts) -> ca.Function:
     return ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)])
 
 
+def _root_after(
+    v: Parts, root: Any, dx: Any, dy: Any, K: Any, Sy: Any, acting: Any, noise: Any
+) -> Any:
+    """The square root (n x n) of the covariance after the sample, of points dx (n x n_points) off the mean that `root` was drawn for."""
+    if v.looped and not bounded(v.variables):
+        return loops.corrected(root, Sy, dy, v.weights, noise)
+    heard = ca.mtimes([K, ca.diag(acting), ca.diag(noise)])
+    columns = ca.horzcat(ca.mtimes(dx - ca.mtimes(K, dy), ca.diag(ca.sqrt(v.weights))), heard)
+    return loops.square_root(columns, ca.MX.zeros(v.n)) if v.looped else linear.square_root(columns)
+
+
 def _seen(v: Parts, measure: ca.Function, mean: Any, drawn: Any) -> Any:
     """What is measured at the sigma points (ny x n_points).
 
     Where some of them lie outside the domain of the output, as log(x) of a wide first covariance does, the slopes are taken nearer to the
     mean and continued from there.
     """
-    seen = ca.horzcat(*[v.at(measure, drawn[:, i], v.t) for i in range(v.n_points)])
+    given, output = (v.read.known, v.q.model, v.t), v.at(measure)
+    seen = v.each(output, drawn, *given)
     if not holds(v.model.equations.output, PARTIAL):
         return seen
-    center = seen[:, 0]
     found = seen
     for nearer in NEARER:
-        close = [v.at(measure, mean + nearer * (drawn[:, i] - mean), v.t) for i in range(1, v.n_points)]
-        continued = ca.horzcat(center, *[center + (point - center) / nearer for point in close])
-        found = ca.if_else(ca.sumsqr(found) < HUGE, found, continued)
+
+        def continued(x: Any, middle: Any, center: Any, *given: Any, nearer: float = nearer) -> Any:
+            return center + (output(middle + nearer * (x - middle), *given) - center) / nearer
+
+        closer = ca.horzcat(seen[:, 0], v.each(continued, drawn[:, 1:], mean, seen[:, 0], *given))
+        found = ca.if_else(ca.sumsqr(found) < HUGE, found, closer)
     return found
 
 
-def _gain(
-    dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any, innovation: Any, rounding: Any
-) -> tuple[Any, Any, Any]:
-    """The gain K (n x ny), the square root (n x n) of the covariance after the sample, and nu' S^-1 nu of the innovation nu (ny).
+def _gain(dx: Any, dy: Any, weights: Any, noise: Any, innovation: Any, rounding: Any) -> tuple[Any, Any, Any]:
+    """The gain K (n x ny), the root Sy (ny x ny) of the innovation's covariance, and nu' S^-1 nu of the innovation nu (ny).
 
     An output that the others leave no uncertainty in but `rounding` (ny), such as the second of two perfect sensors, has nothing to add:
-    its part of K is 0.
+    its part of K is 0, and Sy has HUGE on its diagonal.
     """
-    rooted = ca.diag(ca.sqrt(weights))
-    Sy = linear.square_root(ca.horzcat(ca.mtimes(dy, rooted), noise_root))
+    Sy = _root(dy, weights, noise)
     for i in range(Sy.shape[0]):
         Sy[i, i] = ca.if_else(
             ca.fabs(Sy[i, i]) <= ca.fmax(NOTHING * ca.norm_2(Sy[i, : i + 1]), rounding[i]), HUGE, Sy[i, i]
@@ -267,15 +312,15 @@ def _gain(
     Pxy = ca.mtimes([dx, ca.diag(weights), dy.T])
     half = linear.right_solve(Sy.T, Pxy)  # Pxy = K Sy Sy': upper triangle Sy' first, then Sy by the transposed problem
     K = linear.left_transposed(Sy, half)
-    columns = (ca.mtimes(dx - ca.mtimes(K, dy), rooted), ca.mtimes([K, ca.diag(ca.SX(valid)), noise_root]))
-    squared = ca.sumsqr(linear.right_solve(Sy.T, innovation.T))
-    return K, linear.square_root(ca.horzcat(*columns)), squared
+    return K, Sy, ca.sumsqr(linear.right_solve(Sy.T, innovation.T))
 
 
-def _root(points: Any, weights: Any, noise_root: Any) -> Any:
-    """The square root (n x n) of the covariance of the points plus noise_root noise_root'."""
-    spread = ca.mtimes(_off(points, weights), ca.diag(ca.sqrt(weights)))
-    return linear.square_root(ca.horzcat(spread, noise_root))
+def _root(off: Any, weights: Any, noise: Any) -> Any:
+    """The square root (lower triangle) of the covariance of points, `off` their mean, plus diag(noise)^2."""
+    spread = ca.mtimes(off, ca.diag(ca.sqrt(weights)))
+    if isinstance(spread, ca.MX):
+        return loops.square_root(spread, noise)
+    return linear.square_root(ca.horzcat(spread, ca.diag(noise)))
 
 
 def _off(points: Any, weights: Any) -> Any:

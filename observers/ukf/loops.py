@@ -1,0 +1,99 @@
+"""The algebra of the filter as loops over matrices (MX): the same numbers as the unrolled form up to rounding.
+
+The C that becomes of it grows with n, where that of scalars grows with its third power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+
+from observers.numerics.finite import HUGE
+from observers.numerics.layout import Layout
+
+STRAIGHT = 4000  # operations up to which what is done with a point is one expression of scalars
+GROUP = 4  # rows of a root after which the rows that are done are left behind: a copy of the others
+
+
+def each(body: Callable[..., Any], points: Any, *given: Any) -> Any:
+    """body(x, *given) for each column x of `points` (n x N), side by side: one function, called in a loop."""
+    n, count = points.shape
+    layout = Layout(**{f"given{i}": value.numel() for i, value in enumerate(given)})
+    x, packed = ca.MX.sym("x", n), ca.MX.sym("packed", layout.total)
+    one = ca.Function("point", [x, packed], [body(x, *vars(layout.unpack(packed)).values())])
+    scalars = one.expand()
+    if scalars.n_instructions() <= STRAIGHT:
+        one = scalars
+    return one.map("points", "serial", count, [1], [])(points, ca.vertcat(*given))
+
+
+def square_root(A: Any, sigma: Any) -> Any:
+    """The lower triangle S (n x n) with no negative entry on its diagonal, S S' = A A' + diag(sigma)^2; A (n x m), sigma (n) >= 0.
+
+    Row by row a Householder reflection of [diag(sigma) A], which leaves of the diagonal all but one entry as it is; with sigma = 0 that is
+    modified Gram-Schmidt. A row that depends on those before it gets a zero on the diagonal.
+    """
+    n = A.shape[0]
+    columns = []
+    for j in range(n):
+        k = j % GROUP
+        if j and k == 0:
+            A = A[GROUP:, :]
+        row = A[k, :].T
+        length = ca.sqrt(ca.sumsqr(row) + sigma[j] ** 2)
+        along = A @ row
+        inverse = ca.if_else(length > 0, 1 / length, 0)
+        _, below = ca.vertsplit(along * inverse, [0, k + 1, along.numel()])
+        columns.append(ca.vertcat(ca.MX.zeros(j), length, below))
+        if j < n - 1:
+            A = ca.mac(along * (-inverse * ca.if_else(length > 0, 1 / (length + sigma[j]), 0)), row.T, A)
+    return ca.horzcat(*columns)
+
+
+def corrected(S: Any, Sy: Any, dy: Any, weights: Any, noise: Any) -> Any:
+    """The root (n x n) of the covariance after a sample, S that before it, of points that lie as far from their mean to either side.
+
+    Args:
+        S: lower triangle (n x n).
+        Sy: that of the innovation's covariance (ny x ny); HUGE on the diagonal: the output has nothing to add.
+        dy: what is seen at the points less its mean (ny x n_points); 0 for an output that does not act.
+        weights: of the points. noise: the outputs' deviations (ny).
+
+    The points' differences across the mean make dy = d S^-1 dx + e, where e, all the rest, is noise: what remains is one sequential
+    update for each output (Carlson, "Fast triangular formulation of the square root filter", AIAA Journal 11, 1973), of order n^2.
+    """
+    n, ny = S.shape[0], dy.shape[0]
+    part = ca.sqrt(weights[-1] / 2)
+    plus, minus = dy[:, 1 : n + 1], dy[:, n + 1 :]
+    L = square_root(ca.horzcat(ca.sqrt(weights[0]) * dy[:, 0], part * (plus + minus)), noise)
+    d = part * (plus - minus)
+    rows: list[Any] = []
+    for i in range(ny):  # of outputs whose noises are independent of those before
+        row = d[i, :]
+        for k in range(i):
+            row = row - ca.if_else(L[k, k] > 0, L[i, k] / L[k, k], 0) * rows[k]
+        rows.append(row)
+    both = ca.vertcat(S, *[ca.if_else(Sy[i, i] < HUGE, row, 0) for i, row in enumerate(rows)])
+    update = _update(n, ny)
+    for i in range(ny):
+        both = update(both, both[n + i, :].T, L[i, i])
+    return both[:n, :]
+
+
+def _update(n: int, ny: int) -> ca.Function:
+    """update(both, d, r): the columns [S; D] ((n + ny) x n), S lower triangular, after a scalar sample d S^-1 x with a noise of deviation r."""
+    both, d, r = ca.MX.sym("both", n + ny, n), ca.MX.sym("d", n), ca.MX.sym("r")
+    columns = []
+    gathered, before, known = ca.MX.zeros(ny), r**2, r
+    for j in reversed(range(n)):
+        column = both[j:, j]
+        after = before + d[j] ** 2
+        total = ca.sqrt(after)
+        shrink = ca.if_else(after > 0, known / total, 1)
+        slope = ca.if_else(before > 0, d[j] / (known * total), 0)
+        old = ca.vertcat(0, gathered)
+        columns.append(ca.vertcat(ca.MX.zeros(j), shrink * column - slope * old))
+        gathered, before, known = old + d[j] * column, after, total
+    return ca.Function("update", [both, d, r], [ca.horzcat(*reversed(columns))])
