@@ -17,15 +17,18 @@ from benchmarks.compiler import compile_c
 from benchmarks.native import Experiment, build_driver, drive, execute, unpack
 from fmu_src import export
 from observers.component import Component
+from observers.instance import Instance
 from observers.model import Model, Variable
 from observers.riccati import riccati
 from observers.ukf import ukf
 from reference_models.duffing import DUFFING
+from reference_models.plant import plant
 
 SIZES = (2, 6, 12, 30, 50)
 SAMPLE_TIME = 0.01  # [s], of the chain
 DUFFING_SAMPLE_TIME = 0.1
 SAMPLES, RUNS = 200, 9
+NOISE, OFF = 0.1, 0.5
 SOURCE = Path(__file__).with_name("floor.c")
 MOST, LARGE, MOST_LARGE = 1.5, 30, 2.0  # promised ratios, from n = LARGE on the second
 
@@ -35,10 +38,27 @@ class Case:
     """A filter, and what the compiler makes its floor of."""
 
     label: str
-    n: int
-    make: Callable[[], Component]
-    defines: tuple[str, ...]
+    model: Model
+    make: Callable[..., Component]
     sample_time: float
+    defines: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        return len(self.model.states) + len(self.model.unknown_parameters)
+
+    def component(self) -> Component:
+        return self.make(self.model, sample_time=self.sample_time, measurement_noise={"y": NOISE})
+
+    def samples(self) -> np.ndarray:
+        """What the model's plant measures, its first state moved off where the filter starts (SAMPLES)."""
+        first = self.model.states[0]
+        moved = Instance(plant(self.model), {f"start.{first.name}": first.start + OFF})
+        y = np.empty(SAMPLES)
+        for k in range(SAMPLES):
+            y[k] = moved.get("y")
+            moved.step(k * self.sample_time, self.sample_time)
+        return y
 
 
 @dataclass(frozen=True)
@@ -73,11 +93,9 @@ def cases() -> list[Case]:
     """What is compared."""
 
     def case(label: str, n: int, make: Callable[..., Component], *more: str) -> Case:
-        return Case(f"{label}, n = {n}", n, lambda: make(oscillators(n), sample_time=SAMPLE_TIME), (f"CHAIN={n}", "STEPS=1", *more), SAMPLE_TIME)
+        return Case(f"{label}, n = {n}", oscillators(n), make, SAMPLE_TIME, (f"CHAIN={n}", "STEPS=1", *more))
 
-    duffing = Case(
-        "UKF, Duffing (n = 3)", 3, lambda: ukf(DUFFING, sample_time=DUFFING_SAMPLE_TIME), ("DUFFING", "STEPS=2", "UNSCENTED"), DUFFING_SAMPLE_TIME
-    )
+    duffing = Case("UKF, Duffing", DUFFING, ukf, DUFFING_SAMPLE_TIME, ("DUFFING", "STEPS=2", "UNSCENTED"))
     return [
         *(case("Riccati", n, riccati) for n in SIZES),
         duffing,
@@ -91,9 +109,9 @@ def cost(case: Case, driver: Path, directory: Path) -> Cost:
     Raises:
         ExportError, BenchmarkError: one cannot be built, or fails.
     """
-    component = case.make()
+    component = case.component()
     fmu = unpack(export(component, directory), directory / component.name)
-    samples = 0.3 * np.sin(0.1 * np.arange(SAMPLES))
+    samples = case.samples()
     outputs = [port.name for port in component.outputs if port.name.startswith("estimate.")]
     work = Experiment(samples, case.sample_time, "y", outputs, {})
     floor, file = directory / f"{component.name}_floor", directory / "samples.bin"

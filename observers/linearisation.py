@@ -11,12 +11,14 @@ import numpy as np
 from observers.free_motion import FreeMotion, explicit_step, free_motion
 from observers.model import Model, ModelError, Variable
 from observers.numerics.algebraic import solution
-from observers.numerics.runge_kutta import DORMAND_PRINCE_8, Tableau, stable_step
+from observers.numerics.runge_kutta import CLASSICAL_4, DORMAND_PRINCE_8, Tableau, stable_step
 from observers.numerics.semilinear import split, unreachable
 
 MOST_SUBSTEPS = 256  # of the longest step, for the sake of a bound
 # Error of a step of the prediction, in units of a state's largest value or of its nominal value; the next sample corrects it.
 PREDICTED = 1e-4
+FINE = 1e-8  # the same where a method of lower order is to be as good as one of higher order
+TABLEAUX = {tableau.order: tableau for tableau in (CLASSICAL_4, DORMAND_PRINCE_8)}
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,27 @@ def step_along(
     looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < tableau.stable * MOST_SUBSTEPS]  # false for NaN
     step = stable_step(looked_at, longest, tableau)
     return step if moving is None else explicit_step(moving, step, tableau, tolerance)
+
+
+def chosen_step(
+    model: Model, moving: FreeMotion | None, sample_time: float, longest: float, order: int | None
+) -> tuple[Tableau, float]:
+    """The method of the prediction, and its longest step [s], at most `longest`, along the model's motion `moving`.
+
+    `order`: 4 or 8, with an error of PREDICTED a step; None: 4 where that takes no more evaluations of the model a sample, at an error of
+    FINE a step, which leaves a filter's accuracy as it is; else 8.
+
+    Raises:
+        ValueError: another order.
+    """
+    if order is not None and order not in TABLEAUX:
+        raise ValueError(f"order = {order!r} must be 4, 8 or None")
+    if order is not None:
+        return TABLEAUX[order], step_along(model, moving, longest, TABLEAUX[order])
+    found = [(DORMAND_PRINCE_8, step_along(model, moving, longest))]
+    if moving is not None:
+        found.append((CLASSICAL_4, step_along(model, moving, longest, CLASSICAL_4, FINE)))
+    return min(found, key=lambda made: math.ceil(sample_time / made[1] - 1e-6) * len(made[0].b))
 
 
 def fastest_rate(model: Model) -> float:

@@ -15,7 +15,7 @@ from observers.model import Model
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.riccati import propagator, symmetric
-from observers.numerics.runge_kutta import runge_kutta
+from observers.numerics.runge_kutta import Tableau, runge_kutta
 from observers.riccati.certificates import NONE, Certificate, certify
 from observers.riccati.correction import correction
 from observers.riccati.design import Design
@@ -94,7 +94,7 @@ def start(v: Parts) -> ca.Function:
     return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
 
 
-def flow(v: Parts) -> ca.Function:
+def flow(v: Parts, tableau: Tableau) -> ca.Function:
     """flow(z, u, p, t, h) -> z: (2.1), (2.2) without measurements over h.
 
     A is taken at the middle of the step, so that Q too is of second order in it. Where m escapes, the last sample is undone; a prediction
@@ -109,7 +109,11 @@ def flow(v: Parts) -> ca.Function:
         dm, Phi, Wd = rosenbrock(A, line.rate(*at), line.rate_t(*at), W, v.h)
         m = s.m + dm
     else:
-        m = runge_kutta(lambda x, time: line.rate(projected(line.variables, x), known, q.model, time), s.m, v.t, v.h)
+
+        def rate(x: Any, time: Any) -> Any:
+            return line.rate(projected(line.variables, x), known, q.model, time)
+
+        m = runge_kutta(rate, s.m, v.t, v.h, tableau)
         middle = inside(line.variables, (s.m + m) / 2)
         Phi, Wd = propagator(n)(line.jacobian(middle, known, q.model, v.t + v.h / 2), W, v.h)
     Q = ca.vec(symmetric(Wd + Phi @ Q @ Phi.T))

@@ -20,7 +20,7 @@ from observers.numerics import linear
 from observers.numerics.finite import HUGE, kept
 from observers.numerics.layout import Layout
 from observers.numerics.operations import PARTIAL, holds
-from observers.numerics.runge_kutta import runge_kutta
+from observers.numerics.runge_kutta import Tableau, runge_kutta
 from observers.status import CODE
 from observers.status import shown as verdict_shown
 from observers.ukf import loops
@@ -159,7 +159,7 @@ def start(v: Parts) -> ca.Function:
     return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
 
 
-def flow(v: Parts) -> ca.Function:
+def flow(v: Parts, tableau: Tableau) -> ca.Function:
     """flow(z, u, p, t, h) -> z: the points follow the model.
 
     Where one escapes, the last sample is undone: they start again around the prediction without it; where that escapes too, around
@@ -173,7 +173,7 @@ def flow(v: Parts) -> ca.Function:
     rate = v.at(rhs)
 
     def step(x: Any, known: Any, parameters: Any, t: Any, h: Any) -> Any:
-        return runge_kutta(lambda x, time: rate(x, known, parameters, time), x, t, h)
+        return runge_kutta(lambda x, time: rate(x, known, parameters, time), x, t, h, tableau)
 
     moved = v.each(step, now, v.read.known, v.q.model, v.t, v.h)
     sound = ca.sumsqr(moved) < HUGE
