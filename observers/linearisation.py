@@ -56,12 +56,22 @@ class Linearisation:
         return self._function("jacobian", self.A)
 
     @property
+    def sparse_jacobian(self) -> ca.Function:
+        """`jacobian` without the entries that are always zero."""
+        return ca.Function("sparse_jacobian", [self.m, self.u, self.p, self.t], [self.A])
+
+    @property
     def measure(self) -> ca.Function:
         return self._function("measure", self.h)
 
     @property
     def gradient(self) -> ca.Function:
         return self._function("gradient", self.C)
+
+    @property
+    def sparse_gradient(self) -> ca.Function:
+        """`gradient` without the entries that are always zero."""
+        return ca.Function("sparse_gradient", [self.m, self.u, self.p, self.t], [self.C])
 
 
 def unseen(model: Model) -> list[int]:

@@ -14,7 +14,8 @@ from observers.linearisation import Linearisation
 from observers.model import Model
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
-from observers.numerics.riccati import propagator, symmetric
+from observers.numerics.lyapunov import covariance_step
+from observers.numerics.riccati import symmetric
 from observers.numerics.runge_kutta import Tableau, runge_kutta
 from observers.riccati.certificates import NONE, Certificate, certify
 from observers.riccati.correction import correction
@@ -107,7 +108,7 @@ def flow(v: Parts, tableau: Tableau) -> ca.Function:
         at = (s.m, known, q.model, v.t)
         A = line.jacobian(inside(line.variables, s.m), *at[1:])
         dm, Phi, Wd = rosenbrock(A, line.rate(*at), line.rate_t(*at), W, v.h)
-        m = s.m + dm
+        m, Q = s.m + dm, symmetric(Wd + Phi @ Q @ Phi.T)
     else:
 
         def rate(x: Any, time: Any) -> Any:
@@ -115,8 +116,9 @@ def flow(v: Parts, tableau: Tableau) -> ca.Function:
 
         m = runge_kutta(rate, s.m, v.t, v.h, tableau)
         middle = inside(line.variables, (s.m + m) / 2)
-        Phi, Wd = propagator(n)(line.jacobian(middle, known, q.model, v.t + v.h / 2), W, v.h)
-    Q = ca.vec(symmetric(Wd + Phi @ Q @ Phi.T))
+        A = line.sparse_jacobian(middle, known, q.model, v.t + v.h / 2)
+        Q = covariance_step(A.sparsity())(Q, A, W, v.h)
+    Q = ca.vec(Q)
     whole = ca.sumsqr(m) < HUGE
     finite = ca.logic_and(whole, ca.sumsqr(Q) < HUGE)
     back = ca.if_else(s.undoable, s.before, q.guess)
@@ -140,12 +142,12 @@ def jump(v: Parts) -> ca.Function:
     residual = ports.wrapped(v.model, read.y - line.measure(*at))
     valid, rejected = ports.judged(residual, read.offered)
     innovation = ca.if_else(valid, residual, 0)  # a residual that is not finite is not valid
-    Q, C = ca.reshape(s.Q, n, n), line.gradient(inside(line.variables, s.m), *at[1:])
-    CQ = C @ Q
+    Q, C = ca.reshape(s.Q, n, n), line.sparse_gradient(inside(line.variables, s.m), *at[1:])
+    CQ = (Q @ C.T).T
     variances = ca.sum2(CQ * C) + ca.diag(v.Rd)
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
-    m, Q_after, squared = correction(n, ny)(s.m, Q, C, innovation, v.Rd, acting)
+    m, Q_after, squared = correction(n, ny)(s.m, Q, CQ.T, C, innovation, v.Rd, acting)
     within = conditioned(line.variables, m, Q_after)
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     Q_after = ca.vec(Q_after)
