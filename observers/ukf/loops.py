@@ -14,7 +14,8 @@ from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 
 STRAIGHT = 4000  # operations up to which what is done with a point is one expression of scalars
-GROUP = 4  # rows of a root after which the rows that are done are left behind: a copy of the others
+LONG = 24  # rows of a root from which on GROUP of them are done before the others are copied together; of fewer, half as many
+GROUP = 4
 
 
 def each(body: Callable[..., Any], points: Any, *given: Any) -> Any:
@@ -29,6 +30,21 @@ def each(body: Callable[..., Any], points: Any, *given: Any) -> Any:
     return one.map("points", "serial", count, [1], [])(points, ca.vertcat(*given))
 
 
+def either(condition: Any, value: Any, otherwise: Any, *symbols: Any) -> Any:
+    """`value` where the condition holds; only where not, `otherwise`, an expression of `symbols`, is worked out."""
+    kept = ca.MX.sym("kept", *value.shape)
+    this = ca.Function("this", [kept, *symbols], [kept])
+    other = ca.Function("other", [kept, *symbols], [otherwise])
+    return ca.Function.if_else("either", this, other)(condition, value, *symbols)
+
+
+def chosen(which: Any, *matrices: Any) -> Any:
+    """Number `which` of the matrices (all of one shape), without a sum over all of them."""
+    symbols = [ca.MX.sym("matrix", *matrix.shape) for matrix in matrices]
+    cases = [ca.Function("one", symbols, [symbol]) for symbol in symbols]
+    return ca.Function.conditional("chosen", cases[:-1], cases[-1])(which, *matrices)
+
+
 def square_root(A: Any, sigma: Any) -> Any:
     """The lower triangle S (n x n) with no negative entry on its diagonal, S S' = A A' + diag(sigma)^2; A (n x m), sigma (n) >= 0.
 
@@ -37,10 +53,11 @@ def square_root(A: Any, sigma: Any) -> Any:
     """
     n = A.shape[0]
     columns = []
+    group = GROUP if n >= LONG else GROUP // 2
     for j in range(n):
-        k = j % GROUP
+        k = j % group
         if j and k == 0:
-            A = A[GROUP:, :]
+            A = A[group:, :]
         row = A[k, :].T
         length = ca.sqrt(ca.sumsqr(row) + sigma[j] ** 2)
         along = A @ row
@@ -50,6 +67,11 @@ def square_root(A: Any, sigma: Any) -> Any:
         if j < n - 1:
             A = ca.mac(along * (-inverse * ca.if_else(length > 0, 1 / (length + sigma[j]), 0)), row.T, A)
     return ca.horzcat(*columns)
+
+
+def covariance(S: Any, dy: Any, weights: Any) -> Any:
+    """That of the states and of what is seen (n x ny), of points drawn around their mean with the root S; dy as in `corrected`."""
+    return S @ _slopes(dy, weights).T
 
 
 def corrected(S: Any, Sy: Any, dy: Any, weights: Any, noise: Any) -> Any:
@@ -65,10 +87,9 @@ def corrected(S: Any, Sy: Any, dy: Any, weights: Any, noise: Any) -> Any:
     update for each output (Carlson, "Fast triangular formulation of the square root filter", AIAA Journal 11, 1973), of order n^2.
     """
     n, ny = S.shape[0], dy.shape[0]
-    part = ca.sqrt(weights[-1] / 2)
-    plus, minus = dy[:, 1 : n + 1], dy[:, n + 1 :]
-    L = square_root(ca.horzcat(ca.sqrt(weights[0]) * dy[:, 0], part * (plus + minus)), noise)
-    d = part * (plus - minus)
+    curved = ca.sqrt(weights[-1] / 2) * (dy[:, 1 : n + 1] + dy[:, n + 1 :])
+    L = square_root(ca.horzcat(ca.sqrt(weights[0]) * dy[:, 0], curved), noise)
+    d = _slopes(dy, weights)
     rows: list[Any] = []
     for i in range(ny):  # of outputs whose noises are independent of those before
         row = d[i, :]
@@ -80,6 +101,12 @@ def corrected(S: Any, Sy: Any, dy: Any, weights: Any, noise: Any) -> Any:
     for i in range(ny):
         both = update(both, both[n + i, :].T, L[i, i])
     return both[:n, :]
+
+
+def _slopes(dy: Any, weights: Any) -> Any:
+    """d (ny x n) of dy = d S^-1 dx + e."""
+    n = dy.shape[1] // 2
+    return ca.sqrt(weights[-1] / 2) * (dy[:, 1 : n + 1] - dy[:, n + 1 :])
 
 
 def _update(n: int, ny: int) -> ca.Function:

@@ -53,6 +53,11 @@ class Parts:
     looped: bool
 
     @property
+    def even(self) -> bool:
+        """Whether the points that are drawn lie as far from their mean to either side: none is cut to a bound."""
+        return self.looped and not bounded(self.variables)
+
+    @property
     def variables(self) -> tuple[Variable, ...]:
         """What is estimated: states and unknown parameters."""
         return (*self.model.states, *self.model.unknown_parameters)
@@ -102,9 +107,12 @@ class Parts:
 
         The points take that in at the next sample only.
         """
-        off = _off(ca.reshape(s.points, self.n, self.n_points), self.weights)
-        variances = ca.mtimes(off**2, self.weights) + self.q.noise**2 * s.elapsed
+        variances = self.variances(ca.reshape(s.points, self.n, self.n_points)) + self.q.noise**2 * s.elapsed
         return self.watch.deviations(s.watch, variances)
+
+    def variances(self, points: Any) -> Any:
+        """Those (n) of the points (n x n_points)."""
+        return ca.mtimes(_off(points, self.weights) ** 2, self.weights)
 
     def each(self, body: Callable[..., Any], points: Any, *given: Any) -> Any:
         """body(x, *given) at each of the points (n x N), a column each."""
@@ -178,9 +186,10 @@ def flow(v: Parts, tableau: Tableau) -> ca.Function:
     moved = v.each(step, now, v.read.known, v.q.model, v.t, v.h)
     sound = ca.sumsqr(moved) < HUGE
     back = ca.if_else(s.undoable, s.before, v.q.guess)
+    within, again = projected(v.variables, moved), v.around(back, s.watch)
     after = v.state.replace(
         v.z,
-        points=ca.vec(ca.if_else(sound, projected(v.variables, moved), v.around(back, s.watch))),
+        points=ca.vec(loops.either(sound, within, again, v.z, v.p) if v.looped else ca.if_else(sound, within, again)),
         elapsed=s.elapsed + v.h,
         filtered=ca.if_else(sound, s.filtered, back),
         undoable=ca.logic_and(s.undoable, sound),
@@ -195,7 +204,7 @@ def jump(v: Parts) -> ca.Function:
     s, q, read, weights, n_points = v.s, v.q, v.read, v.weights, v.n_points
     eq = v.model.equations
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
-    mean, root = v.mean, _root(_off(v.points, weights), weights, q.noise * ca.sqrt(q.sample_time))
+    mean, root = v.mean, _root(_off(v.points, weights), weights, noise=q.noise * ca.sqrt(q.sample_time))
     drawn = v.drawn(mean, root)
     seen = _seen(v, measure, mean, drawn)
     if any(output.wrap for output in v.model.outputs):  # on the circle, around the prediction
@@ -208,11 +217,15 @@ def jump(v: Parts) -> ca.Function:
     variances = ca.mtimes(off**2, weights) + q.sensor**2
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
-    dx = drawn - ca.repmat(mean, 1, n_points)
     dy, heard = ca.diag(acting) @ off, ca.if_else(acting, innovation, 0)
     noise = ca.if_else(acting, q.sensor, 1)
-    K, Sy, squared = _gain(dx, dy, weights, noise, heard, ROUNDING * ca.fabs(expected))
-    root_after = _root_after(v, root, dx, dy, K, Sy, acting, noise)
+    dx = drawn - ca.repmat(mean, 1, n_points)
+    Pxy = loops.covariance(root, dy, weights) if v.even else ca.mtimes([dx, ca.diag(weights), dy.T])
+    K, Sy, squared = _gain(Pxy, _root(dy, weights, noise=noise), heard, ROUNDING * ca.fabs(expected))
+    if v.even:
+        root_after = loops.corrected(root, Sy, dy, weights, noise)
+    else:
+        root_after = _root(dx - ca.mtimes(K, dy), weights, more=ca.mtimes([K, ca.diag(acting), ca.diag(noise)]))
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     corrected = conditioned(v.variables, mean + ca.mtimes(K, heard), ca.mtimes(root_after, root_after.T))
     # A correction that fails leaves the prediction; after a second one in a row the points start again around the guess.
@@ -224,9 +237,13 @@ def jump(v: Parts) -> ca.Function:
     anew = ca.logic_or(lost, said.inflate)
     estimate = ca.if_else(lost, q.guess, ca.if_else(finite, corrected, mean))
     if v.looped:  # drawn once, from the root that is chosen
-        points = v.drawn(estimate, ca.if_else(anew, v.first(said.memory), ca.if_else(finite, root_after, root)))
+        left = loops.chosen(ca.if_else(anew, 2, ca.logic_not(finite)), root_after, root, ca.densify(v.first(said.memory)))
+        points = v.drawn(estimate, left)
     else:
         points = ca.if_else(anew, v.around(estimate, said.memory), ca.if_else(finite, redrawn, drawn))
+    variances_after = ca.sum2(left**2) if v.even else v.variances(points)
+    deviations = v.watch.deviations(said.memory, variances_after)
+    status = status_of(said, valid, finite, deviations, q, v.variables)
     after = v.state.pack(
         {
             "points": ca.vec(points),
@@ -239,14 +256,13 @@ def jump(v: Parts) -> ca.Function:
                 variances, lambda i, j: ca.dot(off[i, :] * off[j, :], weights.T)
             ),
             "watch": said.memory,
-            "status": s.status,
+            "status": status,
             "rejected": s.rejected + rejected,
             "failures": s.failures + ca.logic_not(finite),
             "restarts": s.restarts + ca.logic_or(said.inflate, said.restart),
         }
     )
-    status = status_of(said, valid, finite, v.deviations(v.state.unpack(after)), q, v.variables)
-    return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)], {"cse": True})
+    return ca.Function("jump", [v.z, v.u, v.p, v.t], [after], {"cse": True})
 
 
 def output(v: Parts) -> ca.Function:
@@ -264,17 +280,6 @@ def output(v: Parts) -> ca.Function:
         s.restarts,
     ]
     return ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)])
-
-
-def _root_after(
-    v: Parts, root: Any, dx: Any, dy: Any, K: Any, Sy: Any, acting: Any, noise: Any
-) -> Any:
-    """The square root (n x n) of the covariance after the sample, of points dx (n x n_points) off the mean that `root` was drawn for."""
-    if v.looped and not bounded(v.variables):
-        return loops.corrected(root, Sy, dy, v.weights, noise)
-    heard = ca.mtimes([K, ca.diag(acting), ca.diag(noise)])
-    columns = ca.horzcat(ca.mtimes(dx - ca.mtimes(K, dy), ca.diag(ca.sqrt(v.weights))), heard)
-    return loops.square_root(columns, ca.MX.zeros(v.n)) if v.looped else linear.square_root(columns)
 
 
 def _seen(v: Parts, measure: ca.Function, mean: Any, drawn: Any) -> Any:
@@ -298,29 +303,29 @@ def _seen(v: Parts, measure: ca.Function, mean: Any, drawn: Any) -> Any:
     return found
 
 
-def _gain(dx: Any, dy: Any, weights: Any, noise: Any, innovation: Any, rounding: Any) -> tuple[Any, Any, Any]:
-    """The gain K (n x ny), the root Sy (ny x ny) of the innovation's covariance, and nu' S^-1 nu of the innovation nu (ny).
+def _gain(Pxy: Any, Sy: Any, innovation: Any, rounding: Any) -> tuple[Any, Any, Any]:
+    """The gain K (n x ny) of Pxy (n x ny) and the root Sy (ny x ny) of S, that root, and nu' S^-1 nu of the innovation nu (ny).
 
     An output that the others leave no uncertainty in but `rounding` (ny), such as the second of two perfect sensors, has nothing to add:
     its part of K is 0, and Sy has HUGE on its diagonal.
     """
-    Sy = _root(dy, weights, noise)
     for i in range(Sy.shape[0]):
         Sy[i, i] = ca.if_else(
             ca.fabs(Sy[i, i]) <= ca.fmax(NOTHING * ca.norm_2(Sy[i, : i + 1]), rounding[i]), HUGE, Sy[i, i]
         )
-    Pxy = ca.mtimes([dx, ca.diag(weights), dy.T])
     half = linear.right_solve(Sy.T, Pxy)  # Pxy = K Sy Sy': upper triangle Sy' first, then Sy by the transposed problem
     K = linear.left_transposed(Sy, half)
     return K, Sy, ca.sumsqr(linear.right_solve(Sy.T, innovation.T))
 
 
-def _root(off: Any, weights: Any, noise: Any) -> Any:
-    """The square root (lower triangle) of the covariance of points, `off` their mean, plus diag(noise)^2."""
-    spread = ca.mtimes(off, ca.diag(ca.sqrt(weights)))
-    if isinstance(spread, ca.MX):
-        return loops.square_root(spread, noise)
-    return linear.square_root(ca.horzcat(spread, ca.diag(noise)))
+def _root(off: Any, weights: Any, *, noise: Any = None, more: Any = None) -> Any:
+    """The square root (lower triangle) of the covariance of points, `off` their mean, plus diag(noise)^2 or more more'."""
+    columns = ca.mtimes(off, ca.diag(ca.sqrt(weights)))
+    if more is not None:
+        columns = ca.horzcat(columns, more)
+    if isinstance(columns, ca.MX):
+        return loops.square_root(columns, ca.MX.zeros(columns.shape[0]) if noise is None else noise)
+    return linear.square_root(columns if noise is None else ca.horzcat(columns, ca.diag(noise)))
 
 
 def _off(points: Any, weights: Any) -> Any:
