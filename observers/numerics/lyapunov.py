@@ -16,14 +16,16 @@ import casadi as ca
 from observers.numerics.riccati import propagator, symmetric
 
 TERMS = (4, 6, 9, 12, 16)
-EXACT = 1e-16  # of the largest entry: what the first term that is left out makes of it
+EXACT = 1e-16  # of h W, which is the smaller part: what the first term that is left out makes of it
 UNROLLED = 120  # multiplications of a term up to which it is unrolled into scalars
-SPARSE = 0.75  # of n^2, entries of A up to which its zeros are left out: a product of dense matrices takes less for each
+SPARSE = (
+    0.75  # of n^2, entries of A up to which its zeros are left out: a product of dense matrices takes less for each
+)
 
 
 def longest(terms: int) -> float:
     """2 h |A| up to which so many terms are exact."""
-    return math.exp((math.log(EXACT) + math.lgamma(terms + 2)) / (terms + 1))
+    return math.exp((math.log(EXACT) + math.lgamma(terms + 2)) / terms)
 
 
 def covariance_step(pattern: ca.Sparsity) -> ca.Function:
@@ -44,7 +46,7 @@ def covariance_step(pattern: ca.Sparsity) -> ca.Function:
 def _series(pattern: ca.Sparsity, terms: int) -> ca.Function:
     n = pattern.size1()
     unrolled = pattern.nnz() * n <= UNROLLED
-    sym = ca.SX.sym if unrolled else ca.MX.sym
+    sym: Any = ca.SX.sym if unrolled else ca.MX.sym
     Q, A, W, h = sym("Q", n, n), sym("A", pattern), sym("W", n, n), sym("h")
     twice = _mirrored if unrolled else _doubled
     B = twice(ca.mac(Q, A.T, W / 2))

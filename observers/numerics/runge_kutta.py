@@ -48,7 +48,7 @@ def runge_kutta(rhs: Callable[[Any, Any], Any], x: Any, t: Any, h: Any, tableau:
 
 
 def stable_step(rates: Iterable[float], longest: float, tableau: Tableau = DORMAND_PRINCE_8) -> float:
-    """The longest of `longest`, `longest` / 2, ... with which the method is stable for x' = A x, `rates` the largest |eigenvalue| of each A.
+    """The longest of `longest`, `longest` / 2, ... with which the method is stable for modes of these rates, |eigenvalue|.
 
     Halved, not cut to size: the last bits of eigenvalues depend on the machine.
     """

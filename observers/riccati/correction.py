@@ -16,9 +16,9 @@ UNROLLED = 6  # states up to which the products are unrolled into scalars
 def correction(n: int, ny: int) -> ca.Function:
     """correction(m, Q, QC, C, r, Rd, valid) -> (m, Q, r' S^-1 r) after a sample with innovation r = C e + v, v of covariance Rd.
 
-    m (n), Q (n x n), QC = Q C' (n x ny), C (ny x n), r (ny), Rd (ny x ny); valid (ny): 0 takes an entry of the sample out, as if it were not
-    there. Q stays symmetric positive semidefinite whatever the gain's rounding (Joseph): (I - K C) Q (I - K C)' + K Rd K', a matrix of rank
-    ny after the other. For one output, scalars; for more, LU of C Q C' + Rd > 0.
+    m (n), Q (n x n), QC = Q C' (n x ny), C (ny x n), r (ny), Rd (ny x ny); valid (ny): 0 takes an entry of the sample out, as if it were
+    not there. Q stays symmetric positive semidefinite whatever the gain's rounding (Joseph): (I - K C) Q (I - K C)' + K Rd K', a matrix
+    of rank ny after the other. For one output, scalars; for more, LU of C Q C' + Rd > 0.
     """
     m, Q, QC, C, r, Rd, valid = (
         ca.MX.sym(*shape)

@@ -15,6 +15,7 @@ from observers.model import Model
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.lyapunov import covariance_step
+from observers.numerics.operations import straightened
 from observers.numerics.riccati import symmetric
 from observers.numerics.runge_kutta import Tableau, runge_kutta
 from observers.riccati.certificates import NONE, Certificate, certify
@@ -110,11 +111,7 @@ def flow(v: Parts, tableau: Tableau) -> ca.Function:
         dm, Phi, Wd = rosenbrock(A, line.rate(*at), line.rate_t(*at), W, v.h)
         m, Q = s.m + dm, symmetric(Wd + Phi @ Q @ Phi.T)
     else:
-
-        def rate(x: Any, time: Any) -> Any:
-            return line.rate(projected(line.variables, x), known, q.model, time)
-
-        m = runge_kutta(rate, s.m, v.t, v.h, tableau)
+        m = _moved(v, tableau)(s.m, known, q.model, v.t, v.h)
         middle = inside(line.variables, (s.m + m) / 2)
         A = line.sparse_jacobian(middle, known, q.model, v.t + v.h / 2)
         Q = covariance_step(A.sparsity())(Q, A, W, v.h)
@@ -132,6 +129,17 @@ def flow(v: Parts, tableau: Tableau) -> ca.Function:
         failures=s.failures + ca.logic_not(finite),
     )
     return ca.Function("flow", [v.z, v.u, v.p, v.t, v.h], [after])
+
+
+def _moved(v: Parts, tableau: Tableau) -> ca.Function:
+    """moved(m, known inputs, parameters, t, h) -> m after h."""
+    symbols = [ca.MX.sym("x", *value.shape) for value in (v.s.m, v.read.known, v.q.model, v.t, v.h)]
+    m, known, parameters, t, h = symbols
+
+    def rate(x: Any, time: Any) -> Any:
+        return v.line.rate(projected(v.line.variables, x), known, parameters, time)
+
+    return straightened(ca.Function("moved", symbols, [runge_kutta(rate, m, t, h, tableau)]))
 
 
 def jump(v: Parts) -> ca.Function:

@@ -12,8 +12,8 @@ import casadi as ca
 
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
+from observers.numerics.operations import straightened
 
-STRAIGHT = 4000  # operations up to which what is done with a point is one expression of scalars
 LONG = 24  # rows of a root from which on GROUP of them are done before the others are copied together; of fewer, half as many
 GROUP = 4
 
@@ -23,10 +23,7 @@ def each(body: Callable[..., Any], points: Any, *given: Any) -> Any:
     n, count = points.shape
     layout = Layout(**{f"given{i}": value.numel() for i, value in enumerate(given)})
     x, packed = ca.MX.sym("x", n), ca.MX.sym("packed", layout.total)
-    one = ca.Function("point", [x, packed], [body(x, *vars(layout.unpack(packed)).values())])
-    scalars = one.expand()
-    if scalars.n_instructions() <= STRAIGHT:
-        one = scalars
+    one = straightened(ca.Function("point", [x, packed], [body(x, *vars(layout.unpack(packed)).values())]))
     return one.map("points", "serial", count, [1], [])(points, ca.vertcat(*given))
 
 
@@ -110,7 +107,7 @@ def _slopes(dy: Any, weights: Any) -> Any:
 
 
 def _update(n: int, ny: int) -> ca.Function:
-    """update(both, d, r): the columns [S; D] ((n + ny) x n), S lower triangular, after a scalar sample d S^-1 x with a noise of deviation r."""
+    """update(both, d, r): the columns [S; D] ((n + ny) x n), S lower triangular, after a sample d S^-1 x + v, r the deviation of v."""
     both, d, r = ca.MX.sym("both", n + ny, n), ca.MX.sym("d", n), ca.MX.sym("r")
     columns = []
     gathered, before, known = ca.MX.zeros(ny), r**2, r

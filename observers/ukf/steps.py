@@ -237,7 +237,9 @@ def jump(v: Parts) -> ca.Function:
     anew = ca.logic_or(lost, said.inflate)
     estimate = ca.if_else(lost, q.guess, ca.if_else(finite, corrected, mean))
     if v.looped:  # drawn once, from the root that is chosen
-        left = loops.chosen(ca.if_else(anew, 2, ca.logic_not(finite)), root_after, root, ca.densify(v.first(said.memory)))
+        left = loops.chosen(
+            ca.if_else(anew, 2, ca.logic_not(finite)), root_after, root, ca.densify(v.first(said.memory))
+        )
         points = v.drawn(estimate, left)
     else:
         points = ca.if_else(anew, v.around(estimate, said.memory), ca.if_else(finite, redrawn, drawn))
