@@ -16,6 +16,7 @@ import casadi as ca
 from observers.numerics.riccati import propagator, symmetric
 
 TERMS = (4, 6, 9, 12, 16)
+FEW = (9, 16)  # unrolled, where each of them is code of its own
 EXACT = 1e-16  # of h W, which is the smaller part: what the first term that is left out makes of it
 UNROLLED = 120  # multiplications of a term up to which it is unrolled into scalars
 SPARSE = (
@@ -36,16 +37,17 @@ def covariance_step(pattern: ca.Sparsity) -> ca.Function:
     A, Q, W, h = ca.MX.sym("A", pattern), ca.MX.sym("Q", n, n), ca.MX.sym("W", n, n), ca.MX.sym("h")
     Phi, Wd = propagator(n)(ca.densify(A), W, h)
     doubled = ca.Function("doubled", [Q, A, W, h], [symmetric(Wd + Phi @ Q @ Phi.T)])
-    cases = [_series(pattern, terms) for terms in TERMS]
+    numbers = FEW if _unrolled(pattern) else TERMS
+    cases = [_series(pattern, terms) for terms in numbers]
     chosen = ca.Function.conditional("covariance", cases, doubled)
     size = 2 * h * ca.sqrt(_largest_sum(A, columns=True) * _largest_sum(A, columns=False))
-    which = sum((size > longest(terms) for terms in TERMS), ca.MX(0))  # NaN: the first
+    which = sum((size > longest(terms) for terms in numbers), ca.MX(0))  # NaN: the first
     return ca.Function("covariance_step", [Q, A, W, h], [chosen(which, Q, A, W, h)])
 
 
 def _series(pattern: ca.Sparsity, terms: int) -> ca.Function:
     n = pattern.size1()
-    unrolled = pattern.nnz() * n <= UNROLLED
+    unrolled = _unrolled(pattern)
     sym: Any = ca.SX.sym if unrolled else ca.MX.sym
     Q, A, W, h = sym("Q", n, n), sym("A", pattern), sym("W", n, n), sym("h")
     twice = _mirrored if unrolled else _doubled
@@ -54,6 +56,10 @@ def _series(pattern: ca.Sparsity, terms: int) -> ca.Function:
     for j in range(terms, 1, -1):
         R = twice(ca.mac(R, transposed / j, B / 2))
     return ca.Function(f"series_{terms}", [Q, A, W, h], [Q + h * R])
+
+
+def _unrolled(pattern: ca.Sparsity) -> bool:
+    return bool(pattern.nnz() * pattern.size1() <= UNROLLED)
 
 
 def _doubled(X: Any) -> Any:
