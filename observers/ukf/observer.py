@@ -29,6 +29,7 @@ from observers.model import Model, ModelError
 from observers.refusal import refuse
 from observers.tables import refuse_tables_that_end
 from observers.ukf import steps
+from observers.ukf.parts import parts
 from observers.vigilance import TUNING
 
 KAPPA = Port(
@@ -68,7 +69,7 @@ def ukf(
     Raises:
         ModelError: algebraic variables or unknown disturbances, a state or unknown parameter that no output can ever see, a deviation of
             something that is not estimated or measured.
-        ValueError: sample_time out of range.
+        ValueError: sample_time out of range, another order.
     """
     refuse(model, "ukf", "algebraic", "unknown_disturbances")
     count = len(model.states) + len(model.unknown_parameters)
@@ -89,7 +90,7 @@ def ukf(
         *TUNING,
     )
     tableau, step = chosen_step(model, free_motion(model, max_step), sample_time, max_step, order)
-    v = steps.parts(model, measurement_noise is not None)
+    v = parts(model, measurement_noise is not None)
     made = Component(
         name=name or f"{model.name}_ukf",
         description=f"Square-root unscented Kalman filter for {model.name}",

@@ -1,151 +1,26 @@
-"""The unscented Kalman filter between samples and at a sample, in square-root form: see `observer`.
-
-Up to UNROLLED estimates every function is one expression of scalars. Beyond, it is made of loops over matrices, `loops`: C whose length
-does not grow with the third power of n.
-"""
+"""The unscented Kalman filter between samples and at a sample, in square-root form: see `observer`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 
 from observers import innovation_covariance, ports
-from observers.bounds import bounded, conditioned, projected
-from observers.model import Model, Variable
+from observers.bounds import conditioned, projected
 from observers.numerics import linear
 from observers.numerics.finite import HUGE, kept
-from observers.numerics.layout import Layout
 from observers.numerics.operations import PARTIAL, holds
 from observers.numerics.runge_kutta import Tableau, runge_kutta
 from observers.status import CODE
 from observers.status import shown as verdict_shown
 from observers.ukf import loops
-from observers.vigilance import SETTINGS, Watch, status_of, verdict
+from observers.ukf.parts import Parts, off_mean
+from observers.vigilance import status_of, verdict
 
 NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
 ROUNDING = 1e-14  # of an output: the same of one far from 0
 NEARER = (1 / 8, 1 / 64)  # of the way from the mean to a sigma point
-UNROLLED = 8  # estimates up to which the algebra is one expression of scalars
-
-
-@dataclass(frozen=True)
-class Parts:
-    """The filter's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name.
-
-    `looped`: the algebra is made of loops over matrices (MX), not of scalars (SX).
-    """
-
-    model: Model
-    watch: Watch
-    state: Layout
-    z: Any
-    u: Any
-    p: Any
-    t: Any
-    h: Any
-    s: SimpleNamespace
-    q: SimpleNamespace
-    read: ports.Inputs
-    looped: bool
-
-    @property
-    def even(self) -> bool:
-        """Whether the points that are drawn lie as far from their mean to either side: none is cut to a bound."""
-        return self.looped and not bounded(self.variables)
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        """What is estimated: states and unknown parameters."""
-        return (*self.model.states, *self.model.unknown_parameters)
-
-    @property
-    def n(self) -> int:
-        return len(self.variables)
-
-    @property
-    def n_points(self) -> int:
-        return 2 * self.n + 1
-
-    @property
-    def points(self) -> Any:
-        """The sigma points now, (n x n_points)."""
-        return ca.reshape(self.s.points, self.n, self.n_points)
-
-    @property
-    def weights(self) -> Any:
-        n, kappa = self.n, self.q.kappa
-        return ca.vertcat(kappa / (n + kappa), ca.repmat(1 / (2 * (n + kappa)), 2 * n, 1))
-
-    def around(self, mean: Any, watch: Any) -> Any:
-        """The points of a mean that is as uncertain as the guess; `watch`, what the watch keeps."""
-        return self.drawn(mean, self.first(watch))
-
-    def first(self, watch: Any) -> Any:
-        """The root of the guess's covariance."""
-        return ca.diag(ca.sqrt(self.watch.again(watch)) * self.q.spread)
-
-    def drawn(self, mean: Any, root: Any) -> Any:
-        """The sigma points (n x n_points) of mean (n) and root (n x n), P = root root', within the bounds."""
-        wide = ca.sqrt(self.n + self.q.kappa) * root
-        center = ca.repmat(mean, 1, self.n)
-        return projected(self.variables, ca.horzcat(mean, center + wide, center - wide))
-
-    @property
-    def mean(self) -> Any:
-        """The estimate now (n): the mean of the points, and while they stand where they were drawn, what they were drawn around.
-
-        Points that were cut to the bounds have another mean.
-        """
-        return ca.if_else(self.s.elapsed == 0, self.s.filtered, ca.mtimes(self.points, self.weights))
-
-    def deviations(self, s: SimpleNamespace) -> Any:
-        """The standard deviations (n) of the estimate in the state `s`, with the process noise since the last sample.
-
-        The points take that in at the next sample only.
-        """
-        variances = self.variances(ca.reshape(s.points, self.n, self.n_points)) + self.q.noise**2 * s.elapsed
-        return self.watch.deviations(s.watch, variances)
-
-    def variances(self, points: Any) -> Any:
-        """Those (n) of the points (n x n_points)."""
-        return ca.mtimes(_off(points, self.weights) ** 2, self.weights)
-
-    def each(self, body: Callable[..., Any], points: Any, *given: Any) -> Any:
-        """body(x, *given) at each of the points (n x N), a column each."""
-        if self.looped:
-            return loops.each(body, points, *given)
-        return ca.horzcat(*[body(points[:, i], *given) for i in range(points.shape[1])])
-
-    def at(self, function: ca.Function) -> Callable[..., Any]:
-        """`function` of the model's arguments as one of (x, known inputs, parameters, t), x (n) a point."""
-        nx = len(self.model.states)
-
-        def body(x: Any, known: Any, parameters: Any, time: Any) -> Any:
-            part = Layout(x=nx, theta=self.n - nx).unpack(x)
-            return function(part.x, part.theta, known, parameters, time)
-
-        return body
-
-
-def parts(model: Model, noise_known: bool) -> Parts:
-    n, ny = len(model.states) + len(model.unknown_parameters), len(model.outputs)
-    watch = Watch(model, n, known=noise_known)
-    state = Layout(
-        points=n * (2 * n + 1), elapsed=1, filtered=n, before=n, undoable=1, innovation=ny,
-        covariance=innovation_covariance.size(ny), watch=watch.state.total, status=1, rejected=1, failures=1, restarts=1,
-    )  # fmt: skip
-    settings = Layout(
-        guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, **SETTINGS, sample_time=1,
-    )  # fmt: skip
-    looped = n > UNROLLED
-    sym = ca.MX.sym if looped else ca.SX.sym
-    z, u, p = sym("z", state.total), sym("u", ports.n_inputs(model)), sym("p", settings.total)
-    t, h = sym("t"), sym("h")
-    return Parts(model, watch, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u), looped)
 
 
 def start(v: Parts) -> ca.Function:
@@ -175,9 +50,9 @@ def flow(v: Parts, tableau: Tableau) -> ca.Function:
     """
     s, eq, now = v.s, v.model.equations, v.points
     still = ca.SX.zeros(eq.theta.numel())
-    within = [projected(v.model.states, eq.x), projected(v.model.unknown_parameters, eq.theta)]
+    cut = [projected(v.model.states, eq.x), projected(v.model.unknown_parameters, eq.theta)]
     rhs = ca.Function("rhs", [eq.x, eq.theta, eq.u, eq.p, eq.t], [ca.vertcat(eq.ode, still)])
-    rhs = ca.Function("within", [eq.x, eq.theta, eq.u, eq.p, eq.t], [rhs(*within, eq.u, eq.p, eq.t)])
+    rhs = ca.Function("within", [eq.x, eq.theta, eq.u, eq.p, eq.t], [rhs(*cut, eq.u, eq.p, eq.t)])
     rate = v.at(rhs)
 
     def step(x: Any, known: Any, parameters: Any, t: Any, h: Any) -> Any:
@@ -204,7 +79,7 @@ def jump(v: Parts) -> ca.Function:
     s, q, read, weights, n_points = v.s, v.q, v.read, v.weights, v.n_points
     eq = v.model.equations
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
-    mean, root = v.mean, _root(_off(v.points, weights), weights, noise=q.noise * ca.sqrt(q.sample_time))
+    mean, root = v.mean, _root(off_mean(v.points, weights), weights, noise=q.noise * ca.sqrt(q.sample_time))
     drawn = v.drawn(mean, root)
     seen = _seen(v, measure, mean, drawn)
     if any(output.wrap for output in v.model.outputs):  # on the circle, around the prediction
@@ -246,6 +121,11 @@ def jump(v: Parts) -> ca.Function:
     variances_after = ca.sum2(left**2) if v.even else v.variances(points)
     deviations = v.watch.deviations(said.memory, variances_after)
     status = status_of(said, valid, finite, deviations, q, v.variables)
+    together = ca.mtimes([off, ca.diag(weights), off.T]) if v.looped else None
+
+    def between(i: int, j: int) -> Any:
+        return ca.dot(off[i, :] * off[j, :], weights.T) if together is None else together[i, j]
+
     after = v.state.pack(
         {
             "points": ca.vec(points),
@@ -254,9 +134,7 @@ def jump(v: Parts) -> ca.Function:
             "before": ca.if_else(lost, q.guess, mean),
             "undoable": ca.DM(1),
             "innovation": kept(innovation, 0),
-            "covariance": innovation_covariance.spread(
-                variances, lambda i, j: ca.dot(off[i, :] * off[j, :], weights.T)
-            ),
+            "covariance": innovation_covariance.spread(variances, between),
             "watch": said.memory,
             "status": status,
             "rejected": s.rejected + rejected,
@@ -328,8 +206,3 @@ def _root(off: Any, weights: Any, *, noise: Any = None, more: Any = None) -> Any
     if isinstance(columns, ca.MX):
         return loops.square_root(columns, ca.MX.zeros(columns.shape[0]) if noise is None else noise)
     return linear.square_root(columns if noise is None else ca.horzcat(columns, ca.diag(noise)))
-
-
-def _off(points: Any, weights: Any) -> Any:
-    """The points (n x n_points) less their mean."""
-    return points - ca.repmat(ca.mtimes(points, weights), 1, points.shape[1])

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from fmu_src.native.sources import functions
 from observers.instance import Instance
 from observers.model import Model, Variable
-from observers.ukf import steps, ukf
+from observers.ukf import parts, ukf
 
 TS = 0.1
 
@@ -69,7 +69,7 @@ def test_loops_and_scalars_are_the_same_filter(
 ) -> None:
     model = coupled(n, outputs, **bounds)
     made = [Instance(ukf(model, sample_time=TS))]
-    monkeypatch.setattr(steps, "UNROLLED", 0)
+    monkeypatch.setattr(parts, "UNROLLED", 0)
     made.append(Instance(ukf(model, sample_time=TS)))
     for unrolled, looped in estimates(made, 90):
         assert_allclose(looped, unrolled, rtol=1e-12, atol=1e-12)
