@@ -10,6 +10,7 @@ from typing import Any
 
 import casadi as ca
 
+from observers.numerics import linear
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.operations import straightened
@@ -66,6 +67,23 @@ def square_root(A: Any, sigma: Any) -> Any:
     return ca.horzcat(*columns)
 
 
+def halved(Sy: Any, b: Any) -> Any:
+    """Sy^-1 b of a lower triangle Sy (ny x ny); b (ny x m)."""
+    ny = Sy.shape[0]
+    return each(lambda x, packed: linear.right_solve(ca.reshape(packed, ny, ny).T, x.T).T, b, ca.vec(Sy))
+
+
+def solved(Sy: Any, Pxy: Any) -> Any:
+    """K (n x ny) of Pxy = K Sy Sy', row by row."""
+    ny = Sy.shape[0]
+
+    def row(x: Any, packed: Any) -> Any:
+        S = ca.reshape(packed, ny, ny)
+        return linear.left_transposed(S, linear.right_solve(S.T, x.T)).T
+
+    return each(row, Pxy.T, ca.vec(Sy)).T
+
+
 def covariance(S: Any, dy: Any, weights: Any) -> Any:
     """That of the states and of what is seen (n x ny), of points drawn around their mean with the root S; dy as in `corrected`."""
     return S @ _slopes(dy, weights).T
@@ -86,14 +104,19 @@ def corrected(S: Any, Sy: Any, dy: Any, weights: Any, noise: Any) -> Any:
     n, ny = S.shape[0], dy.shape[0]
     curved = ca.sqrt(weights[-1] / 2) * (dy[:, 1 : n + 1] + dy[:, n + 1 :])
     L = square_root(ca.horzcat(ca.sqrt(weights[0]) * dy[:, 0], curved), noise)
-    d = _slopes(dy, weights)
-    rows: list[Any] = []
-    for i in range(ny):  # of outputs whose noises are independent of those before
-        row = d[i, :]
-        for k in range(i):
-            row = row - ca.if_else(L[k, k] > 0, L[i, k] / L[k, k], 0) * rows[k]
-        rows.append(row)
-    both = ca.vertcat(S, *[ca.if_else(Sy[i, i] < HUGE, row, 0) for i, row in enumerate(rows)])
+
+    def independent(column: Any, packed: Any, diagonal: Any) -> Any:
+        """The same of outputs whose noises are independent."""
+        L = ca.reshape(packed, ny, ny)
+        found: list[Any] = []
+        for i in range(ny):
+            value = column[i]
+            for k in range(i):
+                value = value - ca.if_else(L[k, k] > 0, L[i, k] / L[k, k], 0) * found[k]
+            found.append(value)
+        return ca.vertcat(*[ca.if_else(diagonal[i] < HUGE, value, 0) for i, value in enumerate(found)])
+
+    both = ca.vertcat(S, each(independent, _slopes(dy, weights), ca.vec(L), ca.diag(Sy)))
     update = _update(n, ny)
     for i in range(ny):
         both = update(both, both[n + i, :].T, L[i, i])

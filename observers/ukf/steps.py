@@ -193,6 +193,8 @@ def _gain(Pxy: Any, Sy: Any, innovation: Any, rounding: Any) -> tuple[Any, Any, 
         Sy[i, i] = ca.if_else(
             ca.fabs(Sy[i, i]) <= ca.fmax(NOTHING * ca.norm_2(Sy[i, : i + 1]), rounding[i]), HUGE, Sy[i, i]
         )
+    if isinstance(Sy, ca.MX):
+        return loops.solved(Sy, Pxy), Sy, ca.sumsqr(loops.halved(Sy, innovation))
     half = linear.right_solve(Sy.T, Pxy)  # Pxy = K Sy Sy': upper triangle Sy' first, then Sy by the transposed problem
     K = linear.left_transposed(Sy, half)
     return K, Sy, ca.sumsqr(linear.right_solve(Sy.T, innovation.T))
