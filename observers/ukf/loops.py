@@ -70,7 +70,12 @@ def square_root(A: Any, sigma: Any) -> Any:
 def halved(Sy: Any, b: Any) -> Any:
     """Sy^-1 b of a lower triangle Sy (ny x ny); b (ny x m)."""
     ny = Sy.shape[0]
-    return each(lambda x, packed: linear.right_solve(ca.reshape(packed, ny, ny).T, x.T).T, b, ca.vec(Sy))
+
+    def column(x: Any, packed: Any) -> Any:
+        S: Any = ca.reshape(packed, ny, ny)
+        return linear.right_solve(S.T, x.T).T
+
+    return each(column, b, ca.vec(Sy))
 
 
 def solved(Sy: Any, Pxy: Any) -> Any:
