@@ -34,6 +34,7 @@ bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.windows
 	$(BIN)/python -m benchmarks.linear_gain
+	$(BIN)/python -m benchmarks.filters
 	$(BIN)/python -m benchmarks.elementary
 	$(BIN)/python -m benchmarks.compliance
 	$(BIN)/python -m benchmarks.plant_inside

@@ -6,6 +6,7 @@ import re
 import shutil
 import tempfile
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -61,11 +62,19 @@ def _idle(experiment: Experiment) -> Experiment:
     return replace(experiment, samples=np.empty(0))
 
 
+def instructions(run: Sequence[str]) -> int:
+    """Instructions of a command."""
+    return _counts(run).total
+
+
 def _count(driver: Path, fmu: Unpacked, library: Path, experiment: Experiment) -> Counts:
     with tempfile.TemporaryDirectory() as scratch:
-        directory = Path(scratch)
-        out = directory / "callgrind.out"
-        run = command(driver, fmu, library, experiment, 1, directory)
+        return _counts(command(driver, fmu, library, experiment, 1, Path(scratch)))
+
+
+def _counts(run: Sequence[str]) -> Counts:
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "callgrind.out"
         execute(["valgrind", "--quiet", "--tool=callgrind", f"--callgrind-out-file={out}", *run])
         text = execute(["callgrind_annotate", "--threshold=100", str(out)])
     total = _TOTAL.search(text)

@@ -13,6 +13,11 @@ from observers.model import Variable
 MARGIN = 1e-3  # of a nominal value
 
 
+def bounded(variables: Sequence[Variable]) -> bool:
+    """Whether any of them has a bound."""
+    return any(math.isfinite(v.min) or math.isfinite(v.max) for v in variables)
+
+
 def conditioned(variables: Sequence[Variable], x: Any, P: Any) -> Any:
     """x (n x 1) of covariance P (n x n) within the bounds: where an entry lies outside, the nearest point on its bound in the metric of P.
 

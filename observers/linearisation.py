@@ -11,12 +11,14 @@ import numpy as np
 from observers.free_motion import FreeMotion, explicit_step, free_motion
 from observers.model import Model, ModelError, Variable
 from observers.numerics.algebraic import solution
-from observers.numerics.runge_kutta import DORMAND_PRINCE_8, Tableau, stable_step
+from observers.numerics.runge_kutta import CLASSICAL_4, DORMAND_PRINCE_8, Tableau, stable_step
 from observers.numerics.semilinear import split, unreachable
 
 MOST_SUBSTEPS = 256  # of the longest step, for the sake of a bound
 # Error of a step of the prediction, in units of a state's largest value or of its nominal value; the next sample corrects it.
 PREDICTED = 1e-4
+FINE = 1e-9  # the same where a method of lower order is to be as good as one of higher order
+TABLEAUX = {tableau.order: tableau for tableau in (CLASSICAL_4, DORMAND_PRINCE_8)}
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,22 @@ class Linearisation:
         return self._function("jacobian", self.A)
 
     @property
+    def sparse_jacobian(self) -> ca.Function:
+        """`jacobian` without the entries that are always zero."""
+        return ca.Function("sparse_jacobian", [self.m, self.u, self.p, self.t], [self.A])
+
+    @property
     def measure(self) -> ca.Function:
         return self._function("measure", self.h)
 
     @property
     def gradient(self) -> ca.Function:
         return self._function("gradient", self.C)
+
+    @property
+    def sparse_gradient(self) -> ca.Function:
+        """`gradient` without the entries that are always zero."""
+        return ca.Function("sparse_gradient", [self.m, self.u, self.p, self.t], [self.C])
 
 
 def unseen(model: Model) -> list[int]:
@@ -104,47 +116,82 @@ def prediction_step(
     stable and accurate along the motion from the start values, inputs held (`observers.free_motion`). A model that is fast elsewhere wants
     a smaller `longest`, and so does one whose bounds would want more than MOST_SUBSTEPS of them: no motion is meant to come there.
     """
-    return step_along(model, free_motion(model, longest), longest, tableau, tolerance)
+    return _step(_modes(model), free_motion(model, longest), longest, tableau, tolerance)
 
 
-def step_along(
-    model: Model,
-    moving: FreeMotion | None,
-    longest: float,
-    tableau: Tableau = DORMAND_PRINCE_8,
-    tolerance: float = PREDICTED,
-) -> float:
-    """`prediction_step` by the model's motion, which is known."""
-    linear, *found = _jacobians(model, bounds=True)
-    looked_at = [linear]
-    looked_at += [A for A in found[:1] if np.all(np.isfinite(A))]
-    looked_at += [A for A in found[1:] if np.linalg.norm(A) * longest < tableau.stable * MOST_SUBSTEPS]  # false for NaN
-    step = stable_step(looked_at, longest, tableau)
-    return step if moving is None else explicit_step(moving, step, tableau, tolerance)
+def chosen_step(
+    model: Model, moving: FreeMotion | None, sample_time: float, longest: float, order: int | None
+) -> tuple[Tableau, float]:
+    """The method of the prediction, and its longest step [s], at most `longest`, along the model's motion `moving`.
+
+    `order`: 4 or 8, with an error of PREDICTED a step; None: 4 where that takes no more evaluations of the model a sample, at an error of
+    FINE a step, which leaves a filter's accuracy as it is; else 8. Looked at are the motion and, for a model that starts at rest, the
+    fastest mode around the start values. A model that has none, such as one whose parameters are 0 until they are set, gets order 8.
+
+    Raises:
+        ValueError: another order.
+    """
+    modes = _modes(model)
+    if order is not None:
+        if order not in TABLEAUX:
+            raise ValueError(f"order = {order!r} must be 4, 8 or None")
+        return TABLEAUX[order], _step(modes, moving, longest, TABLEAUX[order], PREDICTED)
+    found = [(DORMAND_PRINCE_8, _step(modes, moving, longest, DORMAND_PRINCE_8, PREDICTED))]
+    rate = max((mode.rate for mode in modes if not mode.bound), default=0.0)
+    if moving is not None and rate > 0:
+        step = _step(modes, moving, min(longest, sample_time), CLASSICAL_4, FINE)
+        while (step * rate) ** 5 / 120 > FINE:  # what order 4 leaves of exp(step rate)
+            step /= 2
+        found.append((CLASSICAL_4, step))
+    return min(found, key=lambda made: math.ceil(sample_time / made[1] - 1e-6) * len(made[0].b))
 
 
 def fastest_rate(model: Model) -> float:
     """The largest |eigenvalue| of the rates' Jacobian [1/s], at the start values and one state at a time a nominal value to either side."""
-    found = [A for A in _jacobians(model, bounds=False) if np.all(np.isfinite(A))]
-    return max(float(np.abs(np.linalg.eigvals(A)).max()) for A in found)
+    return max(mode.rate for mode in _modes(model, bounds=False))
 
 
-def _jacobians(model: Model, bounds: bool) -> list[np.ndarray]:
-    """df/dx: its constant entries; where there are no algebraic variables that at the start values, then around them."""
+@dataclass(frozen=True)
+class _Mode:
+    """The largest |eigenvalue| of a Jacobian [1/s] and its norm; whether it is that of a point `around` the start values, on a `bound`."""
+
+    rate: float
+    norm: float
+    around: bool
+    bound: bool
+
+
+def _step(modes: list[_Mode], moving: FreeMotion | None, longest: float, tableau: Tableau, tolerance: float) -> float:
+    near = tableau.stable * MOST_SUBSTEPS
+    rates = [mode.rate for mode in modes if not mode.around or mode.norm * longest < near]
+    step = stable_step(rates, longest, tableau)
+    return step if moving is None else explicit_step(moving, step, tableau, tolerance)
+
+
+def _modes(model: Model, bounds: bool = True) -> list[_Mode]:
+    """Of df/dx: of its constant entries; where there are no algebraic variables that at the start values, then around them.
+
+    What is not finite is left out.
+    """
     eq = model.equations
     constant = split(eq.ode, eq.x, ca.vertcat(eq.u, eq.w)).A
-    if model.algebraic:
-        return [constant]
-    jacobian = ca.Function("jacobian", [eq.x, eq.u, eq.w, eq.p, eq.theta, eq.t], [ca.jacobian(eq.ode, eq.x)])
-    groups = (model.inputs, model.unknown_disturbances, model.parameters, model.unknown_parameters)
-    others = [np.array([v.start for v in group]) for group in groups]
-    start = np.array([v.start for v in model.states])
-    points = [start]
-    for i, v in enumerate(model.states):
-        for value in (*((v.min, v.max) if bounds else ()), v.start - v.nominal, v.start + v.nominal):
-            if v.min <= value <= v.max and math.isfinite(value):
-                points.append(np.where(np.arange(len(start)) == i, value, start))
-    return [constant, *(jacobian(x, *others, 0.0).full() for x in points)]
+    found = [(constant, False, False)]
+    if not model.algebraic:
+        jacobian = ca.Function("jacobian", [eq.x, eq.u, eq.w, eq.p, eq.theta, eq.t], [ca.jacobian(eq.ode, eq.x)])
+        groups = (model.inputs, model.unknown_disturbances, model.parameters, model.unknown_parameters)
+        others = [np.array([v.start for v in group]) for group in groups]
+        start = np.array([v.start for v in model.states])
+        found.append((jacobian(start, *others, 0.0).full(), False, False))
+        for i, v in enumerate(model.states):
+            for value in (*((v.min, v.max) if bounds else ()), v.start - v.nominal, v.start + v.nominal):
+                if v.min <= value <= v.max and math.isfinite(value):
+                    point = np.where(np.arange(len(start)) == i, value, start)
+                    found.append((jacobian(point, *others, 0.0).full(), True, value in (v.min, v.max)))
+    return [
+        _Mode(float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)), float(np.linalg.norm(A)), *where)
+        for A, *where in found
+        if np.all(np.isfinite(A))
+    ]
 
 
 def linearisation(model: Model) -> Linearisation:

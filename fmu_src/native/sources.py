@@ -15,6 +15,7 @@ from pathlib import Path
 import casadi as ca
 
 from fmu_src.errors import ExportError
+from fmu_src.native.products import with_fast_products
 from observers.component import Component, Port, bounds
 
 FMI_HEADERS = ("fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h")
@@ -160,6 +161,7 @@ def functions(component: Component, plant: str = "") -> dict[str, bytes]:
     code, header = (ours.sub(rf"{component.name}_\1", text) for text in (code, header))
     if plant:
         code = re.sub(rf"\b(fwd1_)?{plant}_", rf"{component.name}_\1plant_", code)
+    code = with_fast_products(code)
     return {"functions.c": (_CASADI_HEAD + code + _CASADI_TAIL).encode(), "functions.h": header.encode()}
 
 

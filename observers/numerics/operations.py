@@ -1,4 +1,4 @@
-"""Which operations a CasADi expression is made of."""
+"""Which operations a CasADi expression is made of, and how many."""
 
 from __future__ import annotations
 
@@ -13,6 +13,13 @@ PARTIAL = {
     *(ca.OP_LOG, ca.OP_LOG1P, ca.OP_SQRT, ca.OP_DIV, ca.OP_INV, ca.OP_POW, ca.OP_CONSTPOW),
     *(ca.OP_ASIN, ca.OP_ACOS, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_FMOD, ca.OP_REMAINDER),
 }
+STRAIGHT = 4000  # operations up to which scalars are faster than loops over short columns, and quick to compile
+
+
+def straightened(function: ca.Function) -> ca.Function:
+    """The function as one expression of scalars, unless that is longer than STRAIGHT; what it calls and cannot be inlined is called."""
+    scalars = function.expand()
+    return scalars if scalars.n_instructions() <= STRAIGHT else function
 
 
 def holds(expression: ca.SX, operations: Collection[int]) -> bool:

@@ -83,15 +83,13 @@ def unreachable(f: ca.SX, h: ca.SX, symbols: ca.SX, x: ca.SX) -> list[int]:
 
 
 def _constant_entries(f: ca.SX, symbols: ca.SX) -> np.ndarray:
-    jacobian = ca.densify(ca.jacobian(f, symbols))
+    jacobian = ca.jacobian(f, symbols)
     values = np.zeros(jacobian.shape)
-    for i in range(jacobian.shape[0]):
-        if holds(f[i], JUMPS):
-            continue
-        for j in range(jacobian.shape[1]):
-            entry = ca.simplify(jacobian[i, j])
-            if entry.is_constant():
-                values[i, j] = float(entry)
+    jumping = [holds(f[i], JUMPS) for i in range(f.shape[0])]
+    for k, (i, j) in enumerate(zip(*jacobian.sparsity().get_triplet(), strict=True)):
+        entry = ca.simplify(jacobian.nz[k])
+        if entry.is_constant() and not jumping[i]:
+            values[i, j] = float(entry)
     return values
 
 

@@ -27,7 +27,7 @@ from observers.component import Component, Port
 from observers.free_motion import FreeMotion, accurate_step, free_motion
 from observers.innovation_covariance import innovation_covariance
 from observers.linear_inputs import with_linear_inputs
-from observers.linearisation import Linearisation, linearisation, refuse_undetectable, step_along
+from observers.linearisation import Linearisation, chosen_step, linearisation, refuse_undetectable
 from observers.model import Model
 from observers.refusal import refuse
 from observers.riccati import steps
@@ -64,6 +64,7 @@ def riccati(
     guess: Mapping[str, float] | None = None,
     expose: Sequence[str] = (),
     stiff: bool | None = None,
+    order: int | None = None,
     name: str | None = None,
     max_step: float = 0.1,
     stop_time: float = 10.0,
@@ -80,9 +81,10 @@ def riccati(
             output times sqrt(s), Q0 of the state squared. Where one is given, the others are the identity; where nothing is
             given, the deviations' defaults.
         expose: "Q" puts out the matrix Q, `diagnostics.Q[i,j]`.
-        stiff: the mean by an exponential Rosenbrock step (order 2, any stiffness) instead of Runge-Kutta (order 8). None: where h |A|
+        stiff: the mean by an exponential Rosenbrock step (order 2, any stiffness) instead of Runge-Kutta. None: where h |A|
             exceeds STIFF, |A| over the model's bounds if it is finite there, else at the start values, and the model is not so nonlinear
             that the exponential step would have to be the shorter one.
+        order: of the Runge-Kutta method, 4 or 8, as `chosen_step` says.
         max_step: the longest prediction step [s]; shortened as `prediction_step` says, the exponential one until its error along the motion
             from the start values is below EXPONENTIAL.
 
@@ -104,7 +106,8 @@ def riccati(
     chosen = design(model, line.variables, sample_time, {"N": N, "R": R, "Q0": Q0}, deviations)
     known = certificate(model, line, chosen.N.start, chosen.R.start, chosen.Q0.start)
     moving = free_motion(model, max_step)
-    explicit, exponential = step_along(model, moving, max_step), max_step
+    tableau, explicit = chosen_step(model, moving, sample_time, max_step, order)
+    exponential = max_step
     asked = stiff is not None
     if stiff is None:
         stiff = min(sample_time, max_step) * (known.A if np.isfinite(known.A) else _norm_at_start(model, line)) > STIFF
@@ -117,7 +120,7 @@ def riccati(
         name=name or f"{model.name}_riccati",
         description=f"Riccati observer for {model.name} (James & Baras 1987)",
         start=steps.start(v),
-        flow=steps.flow(v),
+        flow=steps.flow(v, tableau),
         jump=steps.jump(v),
         output=ca.Function("output", [v.z, v.u, v.p, v.t], [ca.vertcat(*shown)]),
         inputs=(*ports.inputs(model), *ports.validity(model)),
@@ -147,7 +150,7 @@ def riccati(
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
-        documentation=_documentation(model, known, stiff),
+        documentation=_documentation(model, known, None if stiff else tableau.order),
     )
     return with_linear_inputs(made, model, sample_time)
 
@@ -177,8 +180,12 @@ def _exponential_step(moving: FreeMotion | None, longest: float) -> float:
     return accurate_step(moving.thinned(POINTS), along(moving), longest, 2, EXPONENTIAL)
 
 
-def _documentation(model: Model, known: Certificate, stiff: bool) -> str:
-    how = "an exponential Rosenbrock step" if stiff else "Dormand and Prince's method of order 8"
+def _documentation(model: Model, known: Certificate, order: int | None) -> str:
+    how = {
+        None: "an exponential Rosenbrock step",
+        4: "the classical Runge-Kutta method of order 4",
+        8: "Dormand and Prince's method of order 8",
+    }[order]
     return (
         f"<p>At every sample instant the estimate of the model {model.name} is corrected with the gain of a Riccati equation along it "
         f"(James and Baras, University of Maryland, 1987); between samples the estimate moves by {how}. Connect the measurements and "

@@ -14,8 +14,10 @@ from observers.linearisation import Linearisation
 from observers.model import Model
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
-from observers.numerics.riccati import propagator, symmetric
-from observers.numerics.runge_kutta import runge_kutta
+from observers.numerics.lyapunov import covariance_step
+from observers.numerics.operations import straightened
+from observers.numerics.riccati import symmetric
+from observers.numerics.runge_kutta import Tableau, runge_kutta
 from observers.riccati.certificates import NONE, Certificate, certify
 from observers.riccati.correction import correction
 from observers.riccati.design import Design
@@ -94,7 +96,7 @@ def start(v: Parts) -> ca.Function:
     return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
 
 
-def flow(v: Parts) -> ca.Function:
+def flow(v: Parts, tableau: Tableau) -> ca.Function:
     """flow(z, u, p, t, h) -> z: (2.1), (2.2) without measurements over h.
 
     A is taken at the middle of the step, so that Q too is of second order in it. Where m escapes, the last sample is undone; a prediction
@@ -107,12 +109,13 @@ def flow(v: Parts) -> ca.Function:
         at = (s.m, known, q.model, v.t)
         A = line.jacobian(inside(line.variables, s.m), *at[1:])
         dm, Phi, Wd = rosenbrock(A, line.rate(*at), line.rate_t(*at), W, v.h)
-        m = s.m + dm
+        m, Q = s.m + dm, symmetric(Wd + Phi @ Q @ Phi.T)
     else:
-        m = runge_kutta(lambda x, time: line.rate(projected(line.variables, x), known, q.model, time), s.m, v.t, v.h)
+        m = _moved(v, tableau)(s.m, known, q.model, v.t, v.h)
         middle = inside(line.variables, (s.m + m) / 2)
-        Phi, Wd = propagator(n)(line.jacobian(middle, known, q.model, v.t + v.h / 2), W, v.h)
-    Q = ca.vec(symmetric(Wd + Phi @ Q @ Phi.T))
+        A = line.sparse_jacobian(middle, known, q.model, v.t + v.h / 2)
+        Q = covariance_step(A.sparsity())(Q, A, W, v.h)
+    Q = ca.vec(Q)
     whole = ca.sumsqr(m) < HUGE
     finite = ca.logic_and(whole, ca.sumsqr(Q) < HUGE)
     back = ca.if_else(s.undoable, s.before, q.guess)
@@ -128,6 +131,17 @@ def flow(v: Parts) -> ca.Function:
     return ca.Function("flow", [v.z, v.u, v.p, v.t, v.h], [after])
 
 
+def _moved(v: Parts, tableau: Tableau) -> ca.Function:
+    """moved(m, known inputs, parameters, t, h) -> m after h."""
+    symbols = [ca.MX.sym("x", *value.shape) for value in (v.s.m, v.read.known, v.q.model, v.t, v.h)]
+    m, known, parameters, t, h = symbols
+
+    def rate(x: Any, time: Any) -> Any:
+        return v.line.rate(projected(v.line.variables, x), known, parameters, time)
+
+    return straightened(ca.Function("moved", symbols, [runge_kutta(rate, m, t, h, tableau)]))
+
+
 def jump(v: Parts) -> ca.Function:
     """jump(z, u, p, t) -> z: the correction of m and Q by the sample at t_k."""
     s, q, read, line = v.s, v.q, v.read, v.line
@@ -136,12 +150,12 @@ def jump(v: Parts) -> ca.Function:
     residual = ports.wrapped(v.model, read.y - line.measure(*at))
     valid, rejected = ports.judged(residual, read.offered)
     innovation = ca.if_else(valid, residual, 0)  # a residual that is not finite is not valid
-    Q, C = ca.reshape(s.Q, n, n), line.gradient(inside(line.variables, s.m), *at[1:])
-    CQ = C @ Q
+    Q, C = ca.reshape(s.Q, n, n), line.sparse_gradient(inside(line.variables, s.m), *at[1:])
+    CQ = (Q @ C.T).T
     variances = ca.sum2(CQ * C) + ca.diag(v.Rd)
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
-    m, Q_after, squared = correction(n, ny)(s.m, Q, C, innovation, v.Rd, acting)
+    m, Q_after, squared = correction(n, ny)(s.m, Q, CQ.T, C, innovation, v.Rd, acting)
     within = conditioned(line.variables, m, Q_after)
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     Q_after = ca.vec(Q_after)

@@ -2,115 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
 
 from observers import innovation_covariance, ports
 from observers.bounds import conditioned, projected
-from observers.model import Model, Variable
 from observers.numerics import linear
 from observers.numerics.finite import HUGE, kept
-from observers.numerics.layout import Layout
 from observers.numerics.operations import PARTIAL, holds
-from observers.numerics.runge_kutta import runge_kutta
+from observers.numerics.runge_kutta import Tableau, runge_kutta
 from observers.status import CODE
 from observers.status import shown as verdict_shown
-from observers.vigilance import SETTINGS, Watch, status_of, verdict
+from observers.ukf import loops
+from observers.ukf.parts import Parts, off_mean
+from observers.vigilance import status_of, verdict
 
 NOTHING = 1e-13  # of an output's deviation: what rounding leaves of one that the others determine
 ROUNDING = 1e-14  # of an output: the same of one far from 0
 NEARER = (1 / 8, 1 / 64)  # of the way from the mean to a sigma point
-
-
-@dataclass(frozen=True)
-class Parts:
-    """The filter's structure, and its symbols: state z, inputs u, parameters p, time t, step h; `s`, `q`, `read` are z, p, u by name."""
-
-    model: Model
-    watch: Watch
-    state: Layout
-    z: Any
-    u: Any
-    p: Any
-    t: Any
-    h: Any
-    s: SimpleNamespace
-    q: SimpleNamespace
-    read: ports.Inputs
-
-    @property
-    def variables(self) -> tuple[Variable, ...]:
-        """What is estimated: states and unknown parameters."""
-        return (*self.model.states, *self.model.unknown_parameters)
-
-    @property
-    def n(self) -> int:
-        return len(self.variables)
-
-    @property
-    def n_points(self) -> int:
-        return 2 * self.n + 1
-
-    @property
-    def points(self) -> Any:
-        """The sigma points now, (n x n_points)."""
-        return ca.reshape(self.s.points, self.n, self.n_points)
-
-    @property
-    def weights(self) -> Any:
-        n, kappa = self.n, self.q.kappa
-        return ca.vertcat(kappa / (n + kappa), ca.repmat(1 / (2 * (n + kappa)), 2 * n, 1))
-
-    def around(self, mean: Any, watch: Any) -> Any:
-        """The points of a mean that is as uncertain as the guess; `watch`, what the watch keeps."""
-        return self.drawn(mean, ca.diag(ca.sqrt(self.watch.again(watch)) * self.q.spread))
-
-    def drawn(self, mean: Any, root: Any) -> Any:
-        """The sigma points (n x n_points) of mean (n) and root (n x n), P = root root', within the bounds."""
-        wide = ca.sqrt(self.n + self.q.kappa) * root
-        center = ca.repmat(mean, 1, self.n)
-        return projected(self.variables, ca.horzcat(mean, center + wide, center - wide))
-
-    @property
-    def mean(self) -> Any:
-        """The estimate now (n): the mean of the points, and while they stand where they were drawn, what they were drawn around.
-
-        Points that were cut to the bounds have another mean.
-        """
-        return ca.if_else(self.s.elapsed == 0, self.s.filtered, ca.mtimes(self.points, self.weights))
-
-    def deviations(self, s: SimpleNamespace) -> Any:
-        """The standard deviations (n) of the estimate in the state `s`, with the process noise since the last sample.
-
-        The points take that in at the next sample only.
-        """
-        off = _off(ca.reshape(s.points, self.n, self.n_points), self.weights)
-        variances = ca.mtimes(off**2, self.weights) + self.q.noise**2 * s.elapsed
-        return self.watch.deviations(s.watch, variances)
-
-    def at(self, function: ca.Function, x: Any, time: Any) -> Any:
-        """`function` of the model's arguments at the point x."""
-        nx = len(self.model.states)
-        part = Layout(x=nx, theta=self.n - nx).unpack(x)
-        return function(part.x, part.theta, self.read.known, self.q.model, time)
-
-
-def parts(model: Model, noise_known: bool) -> Parts:
-    n, ny = len(model.states) + len(model.unknown_parameters), len(model.outputs)
-    watch = Watch(model, n, known=noise_known)
-    state = Layout(
-        points=n * (2 * n + 1), elapsed=1, filtered=n, before=n, undoable=1, innovation=ny,
-        covariance=innovation_covariance.size(ny), watch=watch.state.total, status=1, rejected=1, failures=1, restarts=1,
-    )  # fmt: skip
-    settings = Layout(
-        guess=n, model=len(model.parameters), noise=n, sensor=ny, spread=n, kappa=1, **SETTINGS, sample_time=1,
-    )  # fmt: skip
-    z, u, p = ca.SX.sym("z", state.total), ca.SX.sym("u", ports.n_inputs(model)), ca.SX.sym("p", settings.total)
-    t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    return Parts(model, watch, state, z, u, p, t, h, state.unpack(z), settings.unpack(p), ports.read(model, u))
 
 
 def start(v: Parts) -> ca.Function:
@@ -132,7 +42,7 @@ def start(v: Parts) -> ca.Function:
     return ca.Function("start", [v.p, v.t], [v.state.pack(first)])
 
 
-def flow(v: Parts) -> ca.Function:
+def flow(v: Parts, tableau: Tableau) -> ca.Function:
     """flow(z, u, p, t, h) -> z: the points follow the model.
 
     Where one escapes, the last sample is undone: they start again around the prediction without it; where that escapes too, around
@@ -140,17 +50,21 @@ def flow(v: Parts) -> ca.Function:
     """
     s, eq, now = v.s, v.model.equations, v.points
     still = ca.SX.zeros(eq.theta.numel())
-    within = [projected(v.model.states, eq.x), projected(v.model.unknown_parameters, eq.theta)]
+    cut = [projected(v.model.states, eq.x), projected(v.model.unknown_parameters, eq.theta)]
     rhs = ca.Function("rhs", [eq.x, eq.theta, eq.u, eq.p, eq.t], [ca.vertcat(eq.ode, still)])
-    rhs = ca.Function("within", [eq.x, eq.theta, eq.u, eq.p, eq.t], [rhs(*within, eq.u, eq.p, eq.t)])
-    moved = ca.horzcat(
-        *[runge_kutta(lambda x, time: v.at(rhs, x, time), now[:, i], v.t, v.h) for i in range(v.n_points)]
-    )
+    rhs = ca.Function("within", [eq.x, eq.theta, eq.u, eq.p, eq.t], [rhs(*cut, eq.u, eq.p, eq.t)])
+    rate = v.at(rhs)
+
+    def step(x: Any, known: Any, parameters: Any, t: Any, h: Any) -> Any:
+        return runge_kutta(lambda x, time: rate(x, known, parameters, time), x, t, h, tableau)
+
+    moved = v.each(step, now, v.read.known, v.q.model, v.t, v.h)
     sound = ca.sumsqr(moved) < HUGE
     back = ca.if_else(s.undoable, s.before, v.q.guess)
+    within, again = projected(v.variables, moved), v.around(back, s.watch)
     after = v.state.replace(
         v.z,
-        points=ca.vec(ca.if_else(sound, projected(v.variables, moved), v.around(back, s.watch))),
+        points=ca.vec(loops.either(sound, within, again, v.z, v.p) if v.looped else ca.if_else(sound, within, again)),
         elapsed=s.elapsed + v.h,
         filtered=ca.if_else(sound, s.filtered, back),
         undoable=ca.logic_and(s.undoable, sound),
@@ -165,34 +79,53 @@ def jump(v: Parts) -> ca.Function:
     s, q, read, weights, n_points = v.s, v.q, v.read, v.weights, v.n_points
     eq = v.model.equations
     measure = ca.Function("measure", [eq.x, eq.theta, eq.u, eq.p, eq.t], [eq.output])
-    mean, root = v.mean, _root(v.points, weights, ca.diag(q.noise * ca.sqrt(q.sample_time)))
+    mean, root = v.mean, _root(off_mean(v.points, weights), weights, noise=q.noise * ca.sqrt(q.sample_time))
     drawn = v.drawn(mean, root)
     seen = _seen(v, measure, mean, drawn)
     if any(output.wrap for output in v.model.outputs):  # on the circle, around the prediction
-        near = seen[:, 0]
-        seen = ca.horzcat(*[near + ports.wrapped(v.model, seen[:, i] - near) for i in range(n_points)])
+        seen = v.each(lambda point, near: near + ports.wrapped(v.model, point - near), seen, seen[:, 0])
     expected = ca.mtimes(seen, weights)
     residual = ports.wrapped(v.model, read.y - expected)
     valid, rejected = ports.judged(residual, read.offered)
     innovation = ca.if_else(valid, residual, 0)
-    dx = drawn - ca.repmat(mean, 1, n_points)
     off = seen - ca.repmat(expected, 1, n_points)
     variances = ca.mtimes(off**2, weights) + q.sensor**2
     outlying = v.watch.gated(s.watch, innovation, variances, valid, q.gate)
     acting = ca.logic_and(valid, ca.logic_not(outlying))
-    dy, heard = ca.diag(ca.SX(acting)) @ off, ca.if_else(acting, innovation, 0)
-    noise_root = ca.diag(ca.if_else(acting, q.sensor, 1))
-    K, root_after, squared = _gain(dx, dy, weights, noise_root, acting, heard, ROUNDING * ca.fabs(expected))
+    dy, heard = ca.diag(acting) @ off, ca.if_else(acting, innovation, 0)
+    noise = ca.if_else(acting, q.sensor, 1)
+    dx = drawn - ca.repmat(mean, 1, n_points)
+    Pxy = loops.covariance(root, dy, weights) if v.even else ca.mtimes([dx, ca.diag(weights), dy.T])
+    K, Sy, squared = _gain(Pxy, _root(dy, weights, noise=noise), heard, ROUNDING * ca.fabs(expected))
+    if v.even:
+        root_after = loops.corrected(root, Sy, dy, weights, noise)
+    else:
+        root_after = _root(dx - ca.mtimes(K, dy), weights, more=ca.mtimes([K, ca.diag(acting), ca.diag(noise)]))
     said = verdict(v.watch, s.watch, squared, innovation, variances, valid, outlying, q)
     corrected = conditioned(v.variables, mean + ca.mtimes(K, heard), ca.mtimes(root_after, root_after.T))
-    redrawn = v.drawn(corrected, root_after)
     # A correction that fails leaves the prediction; after a second one in a row the points start again around the guess.
+    redrawn = ca.horzcat(corrected, root_after) if v.looped else v.drawn(corrected, root_after)
     finite = ca.sumsqr(ca.vertcat(ca.vec(redrawn), heard)) < HUGE
-    lost = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(drawn) < HUGE))
+    failing = ca.horzcat(mean, root) if v.looped else drawn
+    lost = ca.logic_or(s.status == CODE.solver_failed, ca.logic_not(ca.sumsqr(failing) < HUGE))
     lost = ca.logic_or(ca.logic_and(lost, ca.logic_not(finite)), said.restart)
     anew = ca.logic_or(lost, said.inflate)
     estimate = ca.if_else(lost, q.guess, ca.if_else(finite, corrected, mean))
-    points = ca.if_else(anew, v.around(estimate, said.memory), ca.if_else(finite, redrawn, drawn))
+    if v.looped:  # drawn once, from the root that is chosen
+        left = loops.chosen(
+            ca.if_else(anew, 2, ca.logic_not(finite)), root_after, root, ca.densify(v.first(said.memory))
+        )
+        points = v.drawn(estimate, left)
+    else:
+        points = ca.if_else(anew, v.around(estimate, said.memory), ca.if_else(finite, redrawn, drawn))
+    variances_after = ca.sum2(left**2) if v.even else v.variances(points)
+    deviations = v.watch.deviations(said.memory, variances_after)
+    status = status_of(said, valid, finite, deviations, q, v.variables)
+    together = ca.mtimes([off, ca.diag(weights), off.T]) if v.looped else None
+
+    def between(i: int, j: int) -> Any:
+        return ca.dot(off[i, :] * off[j, :], weights.T) if together is None else together[i, j]
+
     after = v.state.pack(
         {
             "points": ca.vec(points),
@@ -201,18 +134,15 @@ def jump(v: Parts) -> ca.Function:
             "before": ca.if_else(lost, q.guess, mean),
             "undoable": ca.DM(1),
             "innovation": kept(innovation, 0),
-            "covariance": innovation_covariance.spread(
-                variances, lambda i, j: ca.dot(off[i, :] * off[j, :], weights.T)
-            ),
+            "covariance": innovation_covariance.spread(variances, between),
             "watch": said.memory,
-            "status": s.status,
+            "status": status,
             "rejected": s.rejected + rejected,
             "failures": s.failures + ca.logic_not(finite),
             "restarts": s.restarts + ca.logic_or(said.inflate, said.restart),
         }
     )
-    status = status_of(said, valid, finite, v.deviations(v.state.unpack(after)), q, v.variables)
-    return ca.Function("jump", [v.z, v.u, v.p, v.t], [v.state.replace(after, status=status)], {"cse": True})
+    return ca.Function("jump", [v.z, v.u, v.p, v.t], [after], {"cse": True})
 
 
 def output(v: Parts) -> ca.Function:
@@ -238,46 +168,43 @@ def _seen(v: Parts, measure: ca.Function, mean: Any, drawn: Any) -> Any:
     Where some of them lie outside the domain of the output, as log(x) of a wide first covariance does, the slopes are taken nearer to the
     mean and continued from there.
     """
-    seen = ca.horzcat(*[v.at(measure, drawn[:, i], v.t) for i in range(v.n_points)])
+    given, output = (v.read.known, v.q.model, v.t), v.at(measure)
+    seen = v.each(output, drawn, *given)
     if not holds(v.model.equations.output, PARTIAL):
         return seen
-    center = seen[:, 0]
     found = seen
     for nearer in NEARER:
-        close = [v.at(measure, mean + nearer * (drawn[:, i] - mean), v.t) for i in range(1, v.n_points)]
-        continued = ca.horzcat(center, *[center + (point - center) / nearer for point in close])
-        found = ca.if_else(ca.sumsqr(found) < HUGE, found, continued)
+
+        def continued(x: Any, middle: Any, center: Any, *given: Any, nearer: float = nearer) -> Any:
+            return center + (output(middle + nearer * (x - middle), *given) - center) / nearer
+
+        closer = ca.horzcat(seen[:, 0], v.each(continued, drawn[:, 1:], mean, seen[:, 0], *given))
+        found = ca.if_else(ca.sumsqr(found) < HUGE, found, closer)
     return found
 
 
-def _gain(
-    dx: Any, dy: Any, weights: Any, noise_root: Any, valid: Any, innovation: Any, rounding: Any
-) -> tuple[Any, Any, Any]:
-    """The gain K (n x ny), the square root (n x n) of the covariance after the sample, and nu' S^-1 nu of the innovation nu (ny).
+def _gain(Pxy: Any, Sy: Any, innovation: Any, rounding: Any) -> tuple[Any, Any, Any]:
+    """The gain K (n x ny) of Pxy (n x ny) and the root Sy (ny x ny) of S, that root, and nu' S^-1 nu of the innovation nu (ny).
 
     An output that the others leave no uncertainty in but `rounding` (ny), such as the second of two perfect sensors, has nothing to add:
-    its part of K is 0.
+    its part of K is 0, and Sy has HUGE on its diagonal.
     """
-    rooted = ca.diag(ca.sqrt(weights))
-    Sy = linear.square_root(ca.horzcat(ca.mtimes(dy, rooted), noise_root))
     for i in range(Sy.shape[0]):
         Sy[i, i] = ca.if_else(
             ca.fabs(Sy[i, i]) <= ca.fmax(NOTHING * ca.norm_2(Sy[i, : i + 1]), rounding[i]), HUGE, Sy[i, i]
         )
-    Pxy = ca.mtimes([dx, ca.diag(weights), dy.T])
+    if isinstance(Sy, ca.MX):
+        return loops.solved(Sy, Pxy), Sy, ca.sumsqr(loops.halved(Sy, innovation))
     half = linear.right_solve(Sy.T, Pxy)  # Pxy = K Sy Sy': upper triangle Sy' first, then Sy by the transposed problem
     K = linear.left_transposed(Sy, half)
-    columns = (ca.mtimes(dx - ca.mtimes(K, dy), rooted), ca.mtimes([K, ca.diag(ca.SX(valid)), noise_root]))
-    squared = ca.sumsqr(linear.right_solve(Sy.T, innovation.T))
-    return K, linear.square_root(ca.horzcat(*columns)), squared
+    return K, Sy, ca.sumsqr(linear.right_solve(Sy.T, innovation.T))
 
 
-def _root(points: Any, weights: Any, noise_root: Any) -> Any:
-    """The square root (n x n) of the covariance of the points plus noise_root noise_root'."""
-    spread = ca.mtimes(_off(points, weights), ca.diag(ca.sqrt(weights)))
-    return linear.square_root(ca.horzcat(spread, noise_root))
-
-
-def _off(points: Any, weights: Any) -> Any:
-    """The points (n x n_points) less their mean."""
-    return points - ca.repmat(ca.mtimes(points, weights), 1, points.shape[1])
+def _root(off: Any, weights: Any, *, noise: Any = None, more: Any = None) -> Any:
+    """The square root (lower triangle) of the covariance of points, `off` their mean, plus diag(noise)^2 or more more'."""
+    columns = ca.mtimes(off, ca.diag(ca.sqrt(weights)))
+    if more is not None:
+        columns = ca.horzcat(columns, more)
+    if isinstance(columns, ca.MX):
+        return loops.square_root(columns, ca.MX.zeros(columns.shape[0]) if noise is None else noise)
+    return linear.square_root(columns if noise is None else ca.horzcat(columns, ca.diag(noise)))

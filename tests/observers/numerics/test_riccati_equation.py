@@ -164,7 +164,7 @@ def test_a_correction_is_bayes_rule_and_leaves_rejected_outputs_out():
         rows = np.flatnonzero(valid)
         information = np.linalg.inv(Q) + C[rows].T @ np.linalg.inv(Rd[np.ix_(rows, rows)]) @ C[rows]
         gain = np.linalg.solve(information, C[rows].T @ np.linalg.inv(Rd[np.ix_(rows, rows)]))
-        m_after, Q_after, distance = correction(4, 3)(m, Q, C, r * valid, Rd, valid)
+        m_after, Q_after, distance = correction(4, 3)(m, Q, Q @ C.T, C, r * valid, Rd, valid)
         S = (C @ Q @ C.T + Rd)[np.ix_(rows, rows)]
         assert float(distance) == pytest.approx(r[rows] @ np.linalg.solve(S, r[rows]), rel=1e-13)
         np.testing.assert_allclose(Q_after, np.linalg.inv(information), rtol=0, atol=7e-14)

@@ -161,9 +161,9 @@ def test_a_tuning_of_something_unknown_is_refused_by_name() -> None:
         ukf(DUFFING, sample_time=0.0)
 
 
-@pytest.mark.parametrize(("states", "words"), [(49, "no output ever sees"), (50, "51 states and unknown parameters")])
-def test_more_than_fifty_estimates_are_refused_before_anything_is_built(states: int, words: str) -> None:
-    """What is said of fifty, of which the outputs see two, is another thing."""
+@pytest.mark.parametrize(("states", "words"), [(99, "no output ever sees"), (100, "101 states and unknown parameters")])
+def test_more_than_a_hundred_estimates_are_refused_before_anything_is_built(states: int, words: str) -> None:
+    """What is said of a hundred, of which the outputs see two, is another thing."""
     model = Model(
         name="wide",
         states=[Variable(f"x{i}") for i in range(states)],
