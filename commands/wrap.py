@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +22,7 @@ from observers.riccati import riccati
 from observers.ukf import ukf
 from reference_models.plant import plant
 
-OBSERVERS = {"ukf": ukf, "riccati": riccati, "pseudospectral": pseudospectral}
+OBSERVERS: dict[str, Callable[..., Component]] = {"ukf": ukf, "riccati": riccati, "pseudospectral": pseudospectral}
 _NAMED = "NAME=VALUE"
 
 
@@ -86,7 +86,8 @@ def wrap(
 
     \b
     Example:
-      observer-fmus wrap pendulum.fmu --output mass.s --input extForce --estimate spring.c --sample-time 0.05
+      observer-fmus wrap pendulum.fmu --output mass.s --input extForce \\
+        --estimate spring.c --sample-time 0.05
     """
     if observer not in OBSERVERS:
         fail(f"--observer {observer}: must be one of {', '.join(OBSERVERS)}", 2)
