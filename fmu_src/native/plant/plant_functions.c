@@ -46,7 +46,7 @@ static void copy(double *to, const double *from, size_t n)
         fill(to, n, 0);
 }
 
-static bool finite(const double *values, size_t n)
+static bool are_finite(const double *values, size_t n)
 {
     double sum = 0;
     for (size_t i = 0; i < n; i++)
@@ -58,7 +58,7 @@ static bool finite(const double *values, size_t n)
 static void answer(Plant *self, const Result *result, const Point *point, double *to)
 {
     double t = point->t;
-    bool good = finite(point->x, plant_tables.n_states) && finite(point->u, plant_tables.n_inputs) && finite(&t, 1) &&
+    bool good = are_finite(point->x, plant_tables.n_states) && are_finite(point->u, plant_tables.n_inputs) && are_finite(&t, 1) &&
                 plant_set(self, point);
     if (good && result->is_rate)
         good = JUDGED(self, fmi2GetDerivatives, to, result->n);
@@ -118,7 +118,7 @@ static void add_difference(Plant *self, const Result *result, const Direction *d
     double *above = self->beside, *below = above + result->n;
     beside(self, result, d, t, d->step, above);
     beside(self, result, d, t, -d->step, below);
-    bool up = finite(above, result->n), down = finite(below, result->n);
+    bool up = are_finite(above, result->n), down = are_finite(below, result->n);
     for (size_t i = 0; i < result->n; i++) {
         double high = up ? above[i] : here[i], low = down ? below[i] : here[i];
         sum[i] += up || down ? (high - low) / ((up && down ? 2 : 1) * d->step) : NAN;
@@ -174,7 +174,7 @@ static void add_directional(Plant *self, const Result *result, const double *poi
     size_t driven = k->n_states + k->n_inputs;
     double *to = self->beside;
     Point at = point_of(point, t);
-    bool good = finite(point, driven) && finite(&t, 1) && plant_set(self, &at);
+    bool good = are_finite(point, driven) && are_finite(&t, 1) && plant_set(self, &at);
     if (good)
         good = JUDGED(self, fmi2GetDirectionalDerivative, result->of, result->n, k->driven, driven, self->seeds, to);
     for (size_t i = 0; i < result->n; i++)

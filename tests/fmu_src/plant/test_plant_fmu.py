@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -19,17 +20,18 @@ import pytest
 import plant_fmu
 from fmu_src import ExportError, PlantFMU, export
 from fmu_src.compliance.check import check
+from fmu_src.platforms import PLATFORMS
 from observers.component import Component
 from observers.instance import Instance
 from observers.linearisation import linearisation
-from observers.model import Model
+from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
 from observers.riccati import riccati
 from observers.ukf import ukf
 from once import compiled_once
 from reference_models.plant import plant
 from slave import Slave
-from tools import ROOT, TESTS
+from tools import ROOT, TESTS, need
 
 H = 0.05
 Modelled = Callable[..., PlantFMU]
@@ -104,6 +106,71 @@ def test_the_riccati_observer_with_the_plants_own_slopes_is_that_of_its_equation
         name for name in one[0] if not name.startswith(("certificate", "diagnostics.certified", "diagnostics.rate"))
     ]
     assert [[row[name] for name in shown] for row in one] == [[row[name] for name in shown] for row in other]
+
+
+def test_a_fixed_parameter_is_estimated_by_initialisations_bit_for_bit(
+    modelled: Modelled, slave: Callable[..., Slave]
+) -> None:
+    twin = plant_fmu.pendulum()
+    fields = {f: getattr(twin, f) for f in ("name", "states", "outputs", "inputs", "ode", "output")}
+    swapped = Model(**fields, parameters=twin.unknown_parameters, unknown_parameters=twin.parameters)
+    model = modelled("pendulum", parameters=["spring.c"], unknown_parameters=["mass.m"])
+    assert b"fixed[] = {0, 1}" in model.guest.tables
+    one = steps(slave(ukf(model, sample_time=H, name="same")))
+    assert one == steps(slave(ukf(swapped, sample_time=H, name="same"), "b"))
+
+
+def test_a_large_plant_has_the_filter_of_its_equations_bit_for_bit(modelled: Modelled) -> None:
+    """Beyond eight estimates the filter works in loops, on a called function as on equations."""
+    n = 30
+
+    def ode(x: Any, u: Any, p: Any, t: Any) -> list[Any]:
+        T = [getattr(x, f"T_{i + 1}") for i in range(n)]
+        return [
+            p.k * ((T[i - 1] if i else u.force) - 2 * T[i] + (T[i + 1] if i < n - 1 else T[i])) - 0.1 * T[i] * T[i]
+            for i in range(n)
+        ]
+
+    twin = Model(
+        name="twin",
+        states=[Variable(f"T_{i + 1}") for i in range(n)],
+        outputs=[Variable("middle")],
+        inputs=[Variable("force")],
+        parameters=[Variable("k", start=20.0, nominal=20.0, min=0.0)],
+        ode=ode,
+        output=lambda x, u, p, t: [getattr(x, f"T_{n // 2 + 1}")],
+    )
+    model = modelled(f"rod{n}", outputs=["middle"], parameters=["k"], unknown_parameters=[])
+    pair = [Instance(ukf(m, sample_time=H)) for m in (model, twin)]
+    for k in range(20):
+        for one in pair:
+            one.set("middle", 0.3 * (1 - math.exp(-k * H)))
+            one.set("force", 1.0)
+            one.step(k * H, H)
+    assert np.array_equal(pair[0].outputs(), pair[1].outputs())
+
+
+def test_a_plant_that_prints_is_a_plant(modelled: Modelled, slave: Callable[..., Slave]) -> None:
+    one = steps(slave(ukf(modelled("prints"), sample_time=H, name="same")), 0, 10)
+    assert one == steps(slave(ukf(plant_fmu.van_der_pol(), sample_time=H, name="same"), "b"), 0, 10)
+
+
+@pytest.mark.long
+def test_all_platforms_are_compiled_where_the_plant_has_them_and_gcc_takes_the_sources(
+    modelled: Modelled, tmp_path: Path
+) -> None:
+    others = {}
+    for platform in PLATFORMS:
+        (tmp_path / platform).mkdir()
+        others[platform] = plant_fmu.compiled(tmp_path / platform, platform)
+    path = export(ukf(modelled("van_der_pol", others=others), sample_time=H), tmp_path, platforms=["all"])
+    folder = Path(fmpy.extract(str(path), str(tmp_path / "all")))
+    for root in (folder, folder / "resources" / "plant"):
+        assert {p.name for p in (root / "binaries").iterdir()} == set(PLATFORMS)
+    need(shutil.which("gcc") is not None, "gcc is not installed here: make ci-tools")
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fPIC", "-shared"]
+    sources = sorted((folder / "sources").glob("*.c"))
+    subprocess.run(["gcc", *flags, *sources, "-lm", "-ldl", "-o", tmp_path / "made.so"], check=True)
 
 
 @pytest.mark.parametrize("slopes", [True, False])
