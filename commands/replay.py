@@ -30,7 +30,7 @@ from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.replay import Replay
 from cosim.replay import replay as perform
-from cosim.report.page import Table, write_report
+from cosim.report.page import Table, on_run, write_report
 from cosim.system.parameter_set import parameters_of
 
 JITTER = 1e-3  # of the sample time: rows farther from their sample instants are worth a word
@@ -103,7 +103,7 @@ def replay(
         files = write_record(made.result, directory, "estimates", form)
         intro = command_html() + "".join(f"<p>{escape(fact)}</p>" for fact in facts)
         write_report(
-            directory / "report.html", made.result.system, intro, _inputs(made), [("Figures", "", made.result)]
+            directory / "report.html", made.result.system, intro, [_inputs(made)], [on_run("Figures", "", made.result)]
         )
     except OSError as error:
         fail(f"cannot write to {directory}: {error.strerror or error}", 2)

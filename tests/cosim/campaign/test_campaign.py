@@ -24,7 +24,8 @@ from commands.app import app
 from cosim.campaign import campaign as module
 from cosim.campaign import workers
 from cosim.campaign.campaign import campaign
-from cosim.campaign.report import figure, summary, svg, write_campaign_report
+from cosim.campaign.picture import figure, svg
+from cosim.campaign.report import summary, write_campaign_report
 from cosim.campaign.run import ROWS
 from cosim.campaign.variation import draw
 from cosim.campaign.workers import connected
@@ -266,7 +267,8 @@ def test_a_run_that_fails_is_recorded_with_its_reason_and_the_others_go_on(
         result, 1
     )
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("element &#x27;growing&#x27;") == len(failed) and "<svg" in page
+    assert page.count("element &#x27;growing&#x27;") == len(failed) and "Runs that failed" in page
+    assert "<svg" in (tmp_path / "out" / "figure.svg").read_text()
 
 
 @pytest.mark.long
@@ -278,7 +280,7 @@ def test_an_fmu_that_crashes_its_process_is_a_failed_run(system: Path, built: Bu
     assert made.outcomes[0].failure == "element 'crashing' at t = 0: fmi2DoStep ended the process by SIGILL"
     with pytest.raises(ValueError, match="all runs failed"):
         figure(made)
-    write_campaign_report(made, tmp_path / "out")
+    write_campaign_report(made, tmp_path / "out" / "report.html")
     assert "ended the process by SIGILL" in (tmp_path / "out" / "report.html").read_text()
 
 
