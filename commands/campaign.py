@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import Assignments, CallLimit, ParameterSet, err, fail, out, plain, split_assignments
+from commands.console import Assignments, CallLimit, ParameterSet, err, fail, out, plain, split_assignments, whole
 from commands.records import command_html
 from cosim.campaign.run import SETTLE
 from cosim.campaign.variation import parse
@@ -28,7 +28,7 @@ REPORT, PICTURE = "report.html", "figure.svg"
 
 def campaign(
     system: Annotated[Path, typer.Argument(help="The system to run, an .ssp file.", show_default=False)],
-    runs: Annotated[int, typer.Option(help="How many runs.", show_default=False)],
+    runs: Annotated[int, typer.Option(metavar="COUNT", parser=whole, help="How many runs.", show_default=False)],
     vary: Annotated[
         list[str],
         typer.Option(
@@ -44,7 +44,7 @@ def campaign(
         Path | None,
         typer.Option("--out", metavar="DIR", help="The campaign's folder.", show_default="results/<file>_campaign"),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the random values.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", parser=whole, help="Seed of the random values.")] = 0,
     stop: Annotated[
         float | None, typer.Option(metavar="SECONDS", parser=plain, help="Stop time.", show_default="the system's")
     ] = None,
@@ -61,7 +61,10 @@ def campaign(
         typer.Option(metavar="ADDRESS", help="A Dask scheduler.", show_default="processes on this machine"),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine.", show_default="one for each processor")
+        int | None,
+        typer.Option(
+            metavar="COUNT", parser=whole, help="Processes on this machine.", show_default="one for each processor"
+        ),
     ] = None,
     limit: CallLimit = LIMIT,
     dashboard: Annotated[

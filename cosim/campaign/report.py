@@ -136,7 +136,7 @@ def _failures(campaign: Campaign) -> Section:
     more = len(failures) - SHOWN_FAILURES
     shown = [(str(outcome.run), outcome.failure) for outcome in failures[:SHOWN_FAILURES]]
     return Section(
-        "Runs that failed", f"{more} more are in {TABLE}." if more > 0 else "", [Table(("run", "reason"), shown)]
+        "Runs that failed", [f"{more} more are in {TABLE}."] if more > 0 else [], [Table(("run", "reason"), shown)]
     )
 
 
@@ -156,7 +156,7 @@ def write_campaign_report(campaign: Campaign, path: Path, command_html: str = ""
         tables = [summary(campaign)]
         shared = span_of(done[0].time)
         drawn = [_drawn(campaign, pair, shared) for pair in campaign.pairs]
-        sections = [Section("Over all runs", "", _statuses(campaign), drawn)]
+        sections = [Section("Over all runs", [], _statuses(campaign), drawn)]
     if len(done) < len(campaign.outcomes):
         sections.insert(0, _failures(campaign))
     write_report(path, f"Campaign {campaign.system}", intro, tables, sections)

@@ -31,7 +31,8 @@ h1, h2 { line-height: 1.25; } h2 { margin-top: 3rem; border-top: 1px solid var(-
 a { color: inherit; } code { font-size: 0.92em; }
 table { border-collapse: collapse; margin: 1.5rem 0; font-size: 0.92rem; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 0.3rem 0.9rem 0.3rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-td { white-space: nowrap; }
+td { white-space: nowrap; } pre { font-size: 0.92em; }
+caption { text-align: left; font-weight: 600; }
 th { border-bottom: 2px solid var(--ink); }
 .scroll { overflow-x: auto; } svg { max-width: 100%; height: auto; }
 """
@@ -64,25 +65,26 @@ const draw = async () => {
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text: the heads of its columns, and rows of as many cells."""
+    """A table of text: the heads of its columns, rows of as many cells, and what stands above it, if anything."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
+    caption: str = ""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report: heading and comment (plain text), tables, and figures below each other."""
+    """A part of a report: heading, sentences (plain text, a paragraph each), tables, and figures below each other."""
 
     heading: str
-    comment: str = ""
+    sentences: Sequence[str] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[new_figure] = ()
 
 
 def on_run(heading: str, comment: str, result: Result) -> Section:
     """The section on a run: how often each status occurred, and all its figures."""
-    return Section(heading, comment, statuses(result), figures(result))
+    return Section(heading, (comment,) if comment else (), statuses(result), figures(result))
 
 
 def write_report(path: Path, title: str, intro_html: str, tables: Sequence[Table], sections: Sequence[Section]) -> None:
@@ -105,8 +107,7 @@ def write_report(path: Path, title: str, intro_html: str, tables: Sequence[Table
     drawn = []
     for i, one in enumerate(sections):
         parts.append(f'<h2 id="part-{i}">{escape(one.heading)}</h2>')
-        if one.comment:
-            parts.append(f"<p>{escape(one.comment)}</p>")
+        parts += [f"<p>{escape(sentence)}</p>" for sentence in one.sentences]
         parts += map(_html_table, one.tables)
         if one.figures:
             parts.append(f'<div id="part-{i}-figures" class="figures"></div>')
@@ -156,4 +157,6 @@ def _html_table(table: Table) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 
     lines = [row("th", table.columns), *(row("td", cells) for cells in table.rows)]
+    if table.caption:
+        lines.insert(0, f"<caption>{escape(table.caption)}</caption>")
     return '<div class="scroll"><table>\n' + "\n".join(lines) + "\n</table></div>"
