@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from commands.console import NAME, say
+from commands.start import verb_loaded
 from observers import __version__
 
 VERBS = (
@@ -77,6 +78,7 @@ def _description(verb: str) -> str:
 def _loaded(verb: str) -> Any:
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     alone.command(verb)(getattr(import_module(f"commands.{verb}"), verb))
+    verb_loaded()
     return typer.main.get_command(alone)
 
 

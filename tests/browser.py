@@ -48,7 +48,7 @@ class Seen(NamedTuple):
 def seen(report: Path, width: int, scheme: int = LIGHT) -> Seen:
     """`report` in a frame `width` pixels wide, by a reader who likes the `scheme`."""
     need(shutil.which("chromium") is not None, "chromium is not installed")
-    frame = report.with_name(f"frame_{width}_{scheme}.html")
+    frame = report.resolve().with_name(f"frame_{width}_{scheme}.html")
     frame.write_text(_LOOK.replace("PAGE", report.name).replace("WIDTH", str(width)), encoding="utf-8")
     command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files"]
     command += ["--enable-logging=stderr", "--virtual-time-budget=15000", "--window-size=1300,1000", "--dump-dom"]

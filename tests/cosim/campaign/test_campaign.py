@@ -20,12 +20,13 @@ import pytest
 from elftools.elf.elffile import ELFFile
 from typer.testing import CliRunner, Result
 
+import browser
 from commands.app import app
 from cosim.campaign import campaign as module
 from cosim.campaign import workers
 from cosim.campaign.campaign import campaign
 from cosim.campaign.picture import figure, svg
-from cosim.campaign.report import summary, write_campaign_report
+from cosim.campaign.report import course, summary, write_campaign_report
 from cosim.campaign.run import ROWS
 from cosim.campaign.variation import draw
 from cosim.campaign.workers import connected
@@ -320,9 +321,24 @@ def test_the_figure_has_the_averages_over_the_runs(system: Path, whole: Path) ->
     np.testing.assert_allclose(
         errors["rms error over the runs"], np.sqrt(np.mean((estimates - truths)[:, :, 0] ** 2, axis=0)), rtol=1e-15
     )
+    found = course(made, made.pairs[0])
+    below = np.abs(estimates - truths)[:, :, 0]
+    assert ((below < found.half).mean(axis=0) == 0.5).all() and ((below < found.most).sum(axis=0) == 28).all()
     assert [axis.get_ylabel() for axis in (x1, x2, theta)] == ["error of x1 [m]", "error of x2 [m/s]", "theta [m/s2]"]
     assert svg(figure(made)) == svg(figure(made))
     assert [row[0] for row in summary(made).rows] == [f"observer.estimate.{v}" for v in ("x1", "x2", "theta")]
+
+
+@pytest.mark.long
+def test_a_browser_draws_the_report_of_a_campaign(system: Path, whole: Path, tmp_path: Path) -> None:
+    made = campaign(system, whole, runs=30, vary=VARY, settle=1.0)
+    write_campaign_report(made, tmp_path / "report.html", "<p>observer-fmus campaign</p>")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert (
+        page.index("<h1>") < page.index("observer-fmus campaign") < page.index("<table>") < page.index("Over all runs")
+    )
+    assert "<td>estimating</td>" in page
+    browser.check(tmp_path / "report.html", 3)
 
 
 def test_long_runs_keep_a_bounded_number_of_rows_and_rate_all(system: Path, tmp_path: Path) -> None:
