@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from advice.report import Advised
 
 WIDE = 140  # columns of what is not read on a terminal
-UNTUNED = (0.1, 0.01, 0.001)  # of an output's nominal value: noises that nobody gave, by method
 TUNING = "tuning.measurement_noise."
 
 T = TypeVar("T")
@@ -232,13 +231,13 @@ def _advise(
 
 def _stated(model: Model, namespace: Mapping[str, Any]) -> dict[str, float]:
     """The noise that an observer of the model in the file was given."""
-    untuned = {f"{TUNING}{v.name}": [part * v.nominal for part in UNTUNED] for v in model.outputs}
+    outputs = {f"{TUNING}{v.name}" for v in model.outputs}
     return {
         port.name.removeprefix(TUNING): port.start
         for value in namespace.values()
         if isinstance(value, Component) and value.name.startswith(f"{model.name}_")
         for port in value.parameters
-        if port.name in untuned and port.start > 0 and port.start not in untuned[port.name]
+        if port.name in outputs and port.given and port.start > 0
     }
 
 

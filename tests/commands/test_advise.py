@@ -133,11 +133,12 @@ def test_the_noise_that_an_observer_in_the_file_was_given_is_taken(tank: Path, m
     for more, arguments in (
         ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.03})", []),
         ("ukf(TANK, sample_time=1.0)", []),
+        ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.1})", []),  # which is the default too
         ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.03})", ["--noise", "y=0.2"]),
     ):
         tank.write_text(f"from observers.ukf import ukf\n{TANK}\nobserver = {more}\n")
         assert "enough" in refused(observer_fmus("advise", tank, *arguments))
-    assert told == [{"y": 0.03}, {}, {"y": 0.2}]
+    assert told == [{"y": 0.03}, {}, {"y": 0.1}, {"y": 0.2}]
 
 
 def test_each_model_of_a_file_is_advised_on_with_its_own_noise(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
