@@ -7,6 +7,7 @@ import sys
 from functools import lru_cache
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 from claims import CALVILLO, CHEN, JAMES, NIKOUKHAH, Runs, gap_at_samples, norm, said
@@ -159,7 +160,8 @@ def _(runs: Runs) -> Any:
 @lru_cache
 def batch(signed: bool) -> Any:
     sys.path.append(str(ROOT / "docs"))
-    import figures_elementary as figures
+    with matplotlib.rc_context():  # the style of the project's pictures is not that of the FMUs' own
+        import figures_elementary as figures
 
     if signed:
         figures.NODES = 41  # as in the FMU
