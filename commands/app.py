@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from commands import loading
 from commands.console import NAME, say
-from commands.start import verb_loaded
 from observers import __version__
 
 VERBS = (
@@ -78,7 +78,7 @@ def _description(verb: str) -> str:
 def _loaded(verb: str) -> Any:
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     alone.command(verb)(getattr(import_module(f"commands.{verb}"), verb))
-    verb_loaded()
+    loading.is_done()
     return typer.main.get_command(alone)
 
 
