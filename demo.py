@@ -14,7 +14,7 @@ from rich.table import Table as Printed
 
 from cosim.errors import SystemFileError
 from cosim.master import run
-from cosim.report.page import Table, write_report
+from cosim.report.page import Section, Table, on_run, write_report
 from cosim.results import Result, write_csv
 
 OUT = Path("results/demo")
@@ -101,7 +101,7 @@ def main() -> int:
         "time per sample",
     ]
     rows: list[list[str]] = []
-    sections: list[tuple[str, str, Result]] = []
+    sections: list[Section] = []
     OUT.mkdir(parents=True, exist_ok=True)
     for case in track(CASES, description="running", console=Console(stderr=True)):
         try:
@@ -120,7 +120,7 @@ def main() -> int:
                 f"{microseconds:.1f} us",
             ]
         )
-        sections.append((f"Example {case.label}", case.comment, result))
+        sections.append(on_run(f"Example {case.label}", case.comment, result))
         write_csv(result, OUT / f"{case.system}.csv")
     printed = Printed(title="Gong, Ross & Kang 2007, through the FMUs", title_justify="left")
     for column in columns:
@@ -136,7 +136,7 @@ def main() -> int:
         "measurement y.</p><p>Estimates are of the current time; the errors in the table are those of <code>filtered.*</code> at the "
         "sample instants, from the first full window on. The time per sample is one fmi2DoStep of the observer as seen from Python.</p>"
     )
-    write_report(OUT / "report.html", "A pseudospectral observer as an FMU", intro, Table(columns, rows), sections)
+    write_report(OUT / "report.html", "A pseudospectral observer as an FMU", intro, [Table(columns, rows)], sections)
     console.print(f"Figures: {OUT / 'report.html'}")
     return 0
 

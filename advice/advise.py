@@ -13,12 +13,15 @@ from advice.log import Recorded, predictions
 from advice.observability import Observability, observability
 from advice.region import Region, noise_of, region
 from advice.sampling import sample_time as fitting
+from advice.shown import shown
+from advice.streams.corruptions import CLEAN
 from advice.streams.motion import Motion
 from advice.streams.native import sampled
 from advice.streams.streams import Scenario, Streams
 from advice.streams.verdicts import Tried
 from advice.trajectories import SETTLED, Trajectories
 from advice.trial import Outcome, in_nominal, trial
+from cosim.results import Result
 from observers.model import Model
 from reference_models.plant import plant
 
@@ -28,7 +31,8 @@ SAMPLES = 300  # of a motion
 UNDETERMINED = 30  # samples of a window where none determines everything
 STEPS = 10  # of the plant, in a sample
 AHEAD = 3  # windows that fit into what is predicted of a record
-STAGES = 2 + MOTIONS + 3 * len(METHODS)  # of which `progress` is told at most
+FRESH = MOTIONS  # the motion that no observer is tried on: the choice is shown on it
+STAGES = 3 + MOTIONS + 3 * len(METHODS)  # of which `progress` is told at most
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,8 @@ class Advice:
     """What was looked at, found and chosen.
 
     `rate`: of the fastest mode that the outputs show [1/s], None where the sample time was given; `ahead`: over a record, errors are those
-    of predictions so many samples ahead, 0 where they are those of the estimates.
+    of predictions so many samples ahead, 0 where they are those of the estimates; `shown`: the choice over a motion that no observer was
+    tried on, or over the record, None where there is no choice.
     """
 
     model: Model
@@ -49,6 +54,7 @@ class Advice:
     outcomes: tuple[Outcome, ...]
     choice: Outcome | None
     ahead: int
+    shown: Result | None
 
 
 @np.errstate(all="ignore")  # an observer that runs away is judged; nobody is warned of it
@@ -83,9 +89,10 @@ def advise(
     scenario = Scenario(model.name, true_system, Ts, SAMPLES, deviations, settled, linear=linear)
     moved = Trajectories(model, around, scenario, record.drive if record is not None else None)
     streams: dict[int, Streams] = {}
-    for seed in range(MOTIONS):
+    for seed in (*range(MOTIONS), FRESH):
         progress(f"motion {seed + 1}")
         streams[seed] = moved.streams(seed)
+    fresh = streams.pop(FRESH)
     progress("observability")
     motion = Motion(true_system, Ts, linear)
     seen = observability(model, motion, streams)
@@ -100,6 +107,7 @@ def advise(
     if record is not None:
         ahead = min(AHEAD * task.window, record.samples // 10)
         outcomes = [predicted(model, outcome, record, motion, ahead) for outcome in outcomes]
+    choice = choose(outcomes)
     return Advice(
         model,
         around,
@@ -109,9 +117,21 @@ def advise(
         seen,
         tuple(c for c in made if isinstance(c, Refused)),
         tuple(sorted(outcomes, key=lambda o: o.total)),
-        choose(outcomes),
+        choice,
         ahead,
+        _shown(choice, record, fresh) if choice is not None else None,
     )
+
+
+def _shown(choice: Outcome, record: Recorded | None, fresh: Streams) -> Result:
+    component, Ts = choice.candidate.component, fresh.scenario.sample_time
+    tried, method = Tried(component, {}, sampled(component, Ts)), choice.candidate.method
+    if record is not None:
+        return shown(
+            tried, f"{method} over {record.path.name}", record.measured | record.inputs, {}, record.samples, Ts
+        )
+    stream = fresh.stream(CLEAN, FRESH)
+    return shown(tried, f"{method} on a fresh motion", stream.measured | stream.inputs, stream.truth, SAMPLES, Ts)
 
 
 def predicted(model: Model, outcome: Outcome, record: Recorded, motion: Motion, ahead: int) -> Outcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,26 +59,33 @@ class Recorded:
         return shown
 
 
-def recorded(path: Path, model: Model, sample_time: float | None = None, reading: Reading | None = None) -> Recorded:
+def recorded(
+    path: Path,
+    model: Model,
+    sample_time: float | None = None,
+    mapping: Mapping[str, str] | None = None,
+    reading: Reading | None = None,
+) -> Recorded:
     """Read a log with a column for each output and known input of the model.
 
     Args:
+        mapping, reading: as for `cosim.replay.replay`.
         sample_time: between the rows of a log without a column `time` [s]; otherwise it is the median between its times.
 
     Raises:
         ExperimentError: the log cannot be read, lacks a column, is too short, or has a unit that is not the model's.
     """
-    log = read_log(path, reading)
+    log, mapping = read_log(path, reading), mapping or {}
     wanted = (*model.outputs, *model.inputs)
     for v in wanted:
-        if log.find(v.name) is None:
+        if v.name not in mapping and log.find(v.name) is None:
             raise ExperimentError(f"{path}: there is no column '{v.name}'; {suggest(v.name, log.heads)}")
     # As an observer's FMU has them: measurements may be missing, known inputs hold their last value.
     inputs = {v.name: ModelVariable(v.name, 0, type="Real", causality="input", unit=v.unit) for v in wanted}
     flags = [f"{VALID}{v.name}" for v in model.outputs]
     inputs |= {name: ModelVariable(name, 0, type="Boolean", causality="input") for name in flags}
-    columns = columns_of(log, inputs, {}, dict.fromkeys(flags, True))
-    instants = time_column(log, {}, sample_time)
+    columns = columns_of(log, inputs, mapping, dict.fromkeys(flags, True))
+    instants = time_column(log, mapping, sample_time)
     rows = read(log, instants, converters(log, inputs, columns))
     taken = times(log, instants, rows, sample_time)
     if len(taken) < FEWEST:

@@ -1,5 +1,5 @@
 """python -m commands: the same as the console script, where that is not on the path."""
 
-from commands.app import main
+from commands.start import main
 
 main()

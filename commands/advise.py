@@ -3,35 +3,41 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Table as ConsoleTable
 from rich.text import Text
 
 from build_fmus import namespace_of
 from commands.console import err, fail, plain, say, split_assignments
-from cosim.errors import number, one_line
+from commands.logs import AS_IT_IS, Mapped, mapping_of, reads_logs
+from commands.records import command_html
+from cosim.errors import number
 from cosim.interrupts import interrupts_noticed
+from cosim.replay.reading import Reading
+from cosim.report.page import Table
 from observers.component import Component
-from observers.model import Model
+from observers.model import Model, Variable
 
 if TYPE_CHECKING:
     from advice.advise import Advice
-    from advice.trial import Outcome
+    from advice.report import Advised
 
 WIDE = 140  # columns of what is not read on a terminal
-UNTUNED = (0.1, 0.01, 0.001)  # of an output's nominal value: noises that nobody gave, by method
 TUNING = "tuning.measurement_noise."
+
+T = TypeVar("T")
 
 out = Console(width=None if sys.stdout.isatty() else WIDE, highlight=False)
 
 
+@reads_logs
 def advise(
     file: Annotated[Path, typer.Argument(help="A Python file that defines a Model.", show_default=False)],
     log: Annotated[
@@ -57,6 +63,12 @@ def advise(
             show_default="by the model, or the log's",
         ),
     ] = None,
+    mapped: Mapped = None,
+    reading: Reading = AS_IT_IS,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Where the report goes.", show_default="results/<file>_advice.html"),
+    ] = None,
 ) -> None:
     """Try every observer that applies to your model on the same noisy and faulty data, and say which to take.
 
@@ -70,19 +82,39 @@ def advise(
     }
     if sample_time is not None and not 1e-6 <= sample_time < 1e6:
         fail(f"--sample-time {sample_time:g} must be between 1e-06 and 1e+06", 2)
+    mapping = mapping_of(mapped)
+    if log is None and (mapping or reading != AS_IT_IS):
+        fail("how a log is read is said, but there is none: give --log", 2)
+    path = report or Path("results") / f"{file.stem}_advice.html"
     try:
         with interrupts_noticed() as check:
-            code = _advise_all(file, log, given, sample_time, check)
+            advised = _advise_all(
+                file, _Log(log, mapping, reading) if log is not None else None, given, sample_time, check
+            )
+            code = max(2 if one is None else 0 if one.code else 1 for one in advised)
+            _write(path, file, [one for one in advised if one is not None])
     except KeyboardInterrupt:
         fail("stopped; there is no advice yet", 130)
     if code:
         raise typer.Exit(code)
 
 
+class _Log(NamedTuple):
+    """A recorded file, which columns feed what, and how it is written."""
+
+    path: Path
+    mapping: Mapping[str, str]
+    reading: Reading
+
+
 def _advise_all(
-    file: Path, log: Path | None, given: Mapping[str, float], sample_time: float | None, check: Callable[[], None]
-) -> int:
-    """Print the advice for each Model of the file; the gravest of the codes."""
+    file: Path,
+    log: _Log | None,
+    given: Mapping[str, float],
+    sample_time: float | None,
+    check: Callable[[], None],
+) -> list[Advised | None]:
+    """Print the advice for each Model of the file; None where nothing could be tried."""
     try:
         with err.status(Text(f"working out what {file} defines")):
             namespace = namespace_of(file)
@@ -90,13 +122,34 @@ def _advise_all(
     except ValueError as error:
         check()
         fail(str(error), 2)
-    others = set(given) & {v.name for model in models.values() for v in model.outputs}
-    codes = []
+    advised = []
     for variable, model in models.items():
-        own = {v.name for v in model.outputs}
-        told = {name: std for name, std in given.items() if name in own or name not in others}
-        codes.append(_advise(file, variable, model, _stated(model, namespace) | told, log, sample_time, check))
-    return max(codes)
+        others = [other for other in models.values() if other is not model]
+        noise = _stated(model, namespace) | _own(given, model.outputs, [v for m in others for v in m.outputs])
+        all_others = [v for m in others for v in (*m.outputs, *m.inputs)]
+        own = (*model.outputs, *model.inputs)
+        taken = log._replace(mapping=_own(log.mapping, own, all_others)) if log is not None else None
+        advised.append(_advise(file, variable, model, noise, taken, sample_time, check))
+    return advised
+
+
+def _own(given: Mapping[str, T], own: Sequence[Variable], others: Sequence[Variable]) -> dict[str, T]:
+    """What of `given` is of a model, or of none: its error says so."""
+    names, strange = {v.name for v in own}, {v.name for v in others}
+    return {name: value for name, value in given.items() if name in names or name not in strange}
+
+
+def _write(path: Path, file: Path, advised: list[Advised]) -> None:
+    """Write the report, if there is anything to say, and print its name."""
+    from advice.report import write_advice
+
+    if not advised:
+        return
+    try:
+        write_advice(path, f"Advice on {file.name}", command_html(), advised)
+    except OSError as error:
+        fail(f"cannot write to {path}: {error.strerror or error}", 2)
+    out.print(Text(str(path)), soft_wrap=True)
 
 
 def _models(file: Path, namespace: Mapping[str, Any]) -> dict[str, Model]:
@@ -122,16 +175,17 @@ def _advise(
     variable: str,
     model: Model,
     noise: Mapping[str, float],
-    log: Path | None,
+    log: _Log | None,
     sample_time: float | None,
     check: Callable[[], None],
-) -> int:
-    """Print the advice for one Model; 0 where there is a choice, 1 where there is none, 2 where nothing could be tried."""
+) -> Advised | None:
+    """Print the advice for one Model; None where nothing could be tried."""
     # Observers and compiler take a second to load: only this command waits for them.
     from advice.advise import STAGES
     from advice.advise import advise as perform
     from advice.log import recorded
     from advice.region import AdviceError
+    from advice.report import Advised, facts, reasons, table
     from cosim.errors import ExperimentError
     from fmu_src import ExportError
 
@@ -142,7 +196,7 @@ def _advise(
         TimeElapsedColumn(),
     )
     try:
-        record = recorded(log, model, sample_time) if log is not None else None
+        record = recorded(log.path, model, sample_time, log.mapping, log.reading) if log is not None else None
         with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
             task = bar.add_task("", total=STAGES)
 
@@ -163,109 +217,58 @@ def _advise(
     except (AdviceError, ExperimentError, ValueError) as error:
         check()
         say(str(error))
-        return 2
+        return None
     check()
-    for line in _facts(made, noise):
+    found = Advised(made, facts(made, noise), _code(made, variable))
+    for line in found.facts:
         out.print(Text(line), soft_wrap=True)
     if made.outcomes:
-        out.print(_table(made))
-    for line in (*_reasons(made), "", *_ending(made, file, variable), ""):
+        out.print(_table(table(made), made.choice.candidate.method if made.choice is not None else ""))
+    for line in (*reasons(made), "", *_ending(made, file, found.code), ""):
         out.print(Text(line), soft_wrap=True)
-    return 0 if made.choice is not None else 1
+    return found
 
 
 def _stated(model: Model, namespace: Mapping[str, Any]) -> dict[str, float]:
     """The noise that an observer of the model in the file was given."""
-    untuned = {f"{TUNING}{v.name}": [part * v.nominal for part in UNTUNED] for v in model.outputs}
+    outputs = {f"{TUNING}{v.name}" for v in model.outputs}
     return {
         port.name.removeprefix(TUNING): port.start
         for value in namespace.values()
         if isinstance(value, Component) and value.name.startswith(f"{model.name}_")
         for port in value.parameters
-        if port.name in untuned and port.start > 0 and port.start not in untuned[port.name]
+        if port.name in outputs and port.given and port.start > 0
     }
 
 
-def _facts(made: Advice, noise: Mapping[str, float]) -> list[str]:
-    """What was looked at, a sentence each."""
-    model, seen = made.model, made.observability
-    unit = {v.name: "" if v.unit == "1" else f" {v.unit}" for v in (*model.outputs, *model.inputs)}
-    moved = ", ".join(
-        f"{n} from {low:.4g} to {high:.4g}{unit.get(n, '')}" for n, (low, high) in made.region.driven.items()
-    )
-    guessed = [v.name for v in model.outputs if v.name not in noise]
-    facts = [f"{model.name}: {model.description}" if model.description else model.name]
-    facts.append(f"Inputs move {moved}." if moved else "There are no inputs.")
-    facts.append(
-        "Noise of a sample: "
-        + ", ".join(f"{n} {std:.4g}{unit[n]}" for n, std in made.noise.items())
-        + (f" (1 % of the nominal value where --noise does not say: {', '.join(guessed)})." if guessed else ".")
-    )
-    by = f", by the fastest mode that the outputs show, {made.rate:.3g} 1/s" if made.rate else ""
-    facts.append(f"Sample time: {made.sample_time:g} s{by}.")
-    if seen.window is not None:
-        facts.append(f"Window: {seen.window} samples determine every state and unknown parameter.")
-    facts += [f"Observability: {sentence}." for sentence in seen.said]
-    return facts
-
-
-def _table(made: Advice) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    table.add_column("observer", no_wrap=True)
-    unit = {
-        v.name: v.unit
-        for v in (*made.model.states, *made.model.algebraic, *made.model.unknown_parameters, *made.model.outputs)
-    }
-    names = list(dict.fromkeys(name for outcome in made.outcomes for name in outcome.errors))
-    what = f"{made.ahead} ahead\n" if made.ahead else "error\n"
-    for name in names:
-        table.add_column(
-            f"{what}{name}" + ("" if unit[name] == "1" else f" [{unit[name]}]").replace("[", "\\["), justify="right"
+def _table(made: Table, chosen: str) -> ConsoleTable:
+    what = made.columns[1].partition("\n")[0]  # the columns of errors, whose names may be long, can be broken
+    shown = ConsoleTable(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for head in made.columns:
+        shown.add_column(
+            Text(head), justify="left" if head == "observer" else "right", no_wrap=not head.startswith(what)
         )
-    for head in ("after\njump", "within\n2 std", "settling", "per\nsample", "silent"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for outcome in made.outcomes:
-        cells = [f"{outcome.errors[name]:.2g}" if name in outcome.errors else "-" for name in names]
-        mark = "bold" if outcome is made.choice else ""
-        table.add_row(outcome.candidate.method, *cells, *_worth(outcome), style=mark)
-    return table
+    for row in made.rows:
+        shown.add_row(*row, style="bold" if row[0] == chosen else "")
+    return shown
 
 
-def _worth(outcome: Outcome) -> list[str]:
-    return [
-        f"{outcome.after_jump:.2g}" if outcome.after_jump is not None else "-",
-        f"{outcome.coverage:.0%}" if outcome.coverage is not None else "-",
-        f"{outcome.settling:.3g} s" if outcome.settling is not None else "never",
-        f"{1e6 * outcome.per_sample:.0f} us",
-        f"{outcome.silent:.1%}" if outcome.wrong else "-",
-    ]
+def _code(made: Advice, variable: str) -> str:
+    """The lines of Python that make the choice; empty where there is none."""
+    if made.choice is None:
+        return ""
+    chosen = made.choice.candidate
+    return f"from observers.{chosen.method} import {chosen.method}\nobserver = {chosen.line(variable)}"
 
 
-def _reasons(made: Advice) -> list[str]:
-    """Why observers are not in the table, or cannot be chosen."""
-    from advice.choice import unfit
-
-    left = [(o.candidate.method, unfit(o, made.outcomes)) for o in made.outcomes]
-    return [
-        *(f"Not for this model: {one_line(_named(r.method, r.reason))}." for r in made.refused),
-        *(f"Not to be chosen: {method}: {reason}." for method, reason in left if reason),
-    ]
-
-
-def _named(method: str, reason: str) -> str:
-    return reason if reason.startswith(f"{method}:") else f"{method}: {reason}"
-
-
-def _ending(made: Advice, file: Path, variable: str) -> list[str]:
+def _ending(made: Advice, file: Path, code: str) -> list[str]:
     """What to take, to copy."""
     if made.choice is None:
         return [f"No observer can be advised for {made.model.name}."]
-    chosen = made.choice.candidate
     return [
-        f"Take {chosen.method}. Into {file}:",
+        f"Take {made.choice.candidate.method}. Into {file}:",
         "",
-        f"from observers.{chosen.method} import {chosen.method}",
-        f"observer = {chosen.line(variable)}",
+        *code.splitlines(),
         "",
         "and then:",
         "",

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from commands import loading
 from commands.console import NAME, say
 from observers import __version__
 
@@ -77,6 +78,7 @@ def _description(verb: str) -> str:
 def _loaded(verb: str) -> Any:
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     alone.command(verb)(getattr(import_module(f"commands.{verb}"), verb))
+    loading.is_done()
     return typer.main.get_command(alone)
 
 

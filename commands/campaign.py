@@ -11,7 +11,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from commands.console import Assignments, CallLimit, ParameterSet, err, fail, out, plain, split_assignments
+from commands.console import Assignments, CallLimit, ParameterSet, err, fail, out, plain, split_assignments, whole
+from commands.records import command_html
 from cosim.campaign.run import SETTLE
 from cosim.campaign.variation import parse
 from cosim.errors import ExperimentError, SystemFileError
@@ -22,10 +23,12 @@ from cosim.system.parameter_set import parameters_in_system
 if TYPE_CHECKING:
     from cosim.campaign.campaign import Campaign
 
+REPORT, PICTURE = "report.html", "figure.svg"
+
 
 def campaign(
     system: Annotated[Path, typer.Argument(help="The system to run, an .ssp file.", show_default=False)],
-    runs: Annotated[int, typer.Option(help="How many runs.", show_default=False)],
+    runs: Annotated[int, typer.Option(metavar="COUNT", parser=whole, help="How many runs.", show_default=False)],
     vary: Annotated[
         list[str],
         typer.Option(
@@ -41,7 +44,7 @@ def campaign(
         Path | None,
         typer.Option("--out", metavar="DIR", help="The campaign's folder.", show_default="results/<file>_campaign"),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the random values.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", parser=whole, help="Seed of the random values.")] = 0,
     stop: Annotated[
         float | None, typer.Option(metavar="SECONDS", parser=plain, help="Stop time.", show_default="the system's")
     ] = None,
@@ -58,7 +61,10 @@ def campaign(
         typer.Option(metavar="ADDRESS", help="A Dask scheduler.", show_default="processes on this machine"),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine.", show_default="one for each processor")
+        int | None,
+        typer.Option(
+            metavar="COUNT", parser=whole, help="Processes on this machine.", show_default="one for each processor"
+        ),
     ] = None,
     limit: CallLimit = LIMIT,
     dashboard: Annotated[
@@ -77,7 +83,8 @@ def campaign(
     """
     # Dask takes longer to load than a run takes: only this command waits for it.
     from cosim.campaign.campaign import campaign as perform
-    from cosim.campaign.report import write_campaign_report
+    from cosim.campaign.picture import write_picture
+    from cosim.campaign.report import succeeded, write_campaign_report
 
     directory = out_directory or Path("results") / f"{system.stem}_campaign"
     columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -102,7 +109,9 @@ def campaign(
                 dashboard=dashboard,
                 progress=lambda done, total: display.update(task, completed=done, total=total),
             )
-        write_campaign_report(made, directory)
+        write_campaign_report(made, directory / REPORT, command_html())
+        if succeeded(made):
+            write_picture(made, directory / PICTURE)
     except (SystemFileError, ExperimentError) as error:
         fail(str(error), 2)
     except OSError as error:
@@ -114,7 +123,7 @@ def campaign(
 
 def _summarise(made: Campaign, directory: Path) -> None:
     from cosim.campaign.campaign import TABLE
-    from cosim.campaign.report import FIGURE, counts, settled_means, succeeded, summary
+    from cosim.campaign.report import counts, settled_means, succeeded, summary
 
     found = summary(made)
     table = ConsoleTable(
@@ -133,7 +142,7 @@ def _summarise(made: Campaign, directory: Path) -> None:
         out.print(table)
         out.print(settled_means(made), soft_wrap=True)
     out.print(", ".join(f"{number} {label}" for label, number in counts(made).items()), soft_wrap=True)
-    for file in (TABLE, *((FIGURE,) if succeeded(made) else ()), "report.html"):
+    for file in (TABLE, *((PICTURE,) if succeeded(made) else ()), REPORT):
         out.print(Text(str(directory / file)), soft_wrap=True)
     failures = [outcome for outcome in made.outcomes if outcome.failure]
     if failures:

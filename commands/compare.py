@@ -9,11 +9,13 @@ import typer
 from rich.table import Table as ConsoleTable
 
 from commands.console import CallLimit, fail, out
+from commands.records import command_html
 from cosim.errors import ExperimentError, SystemFileError
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT as CALL_LIMIT
-from cosim.masters.comparison import LIMIT, MASTERS, differences, largest, record_all
+from cosim.masters.comparison import LIMIT, MASTERS, record_all
 from cosim.masters.experiment import MasterError, Recording
+from cosim.masters.report import table, write_comparison
 from cosim.results import write_columns
 
 
@@ -24,7 +26,9 @@ def compare(
     ] = ",".join(MASTERS),
     out_directory: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Where <tool>.csv of each goes.", show_default="not written"),
+        typer.Option(
+            "--out", metavar="DIR", help="Where <tool>.csv of each and report.html go.", show_default="not written"
+        ),
     ] = None,
     limit: CallLimit = CALL_LIMIT,
 ) -> None:
@@ -45,6 +49,9 @@ def compare(
             out_directory.mkdir(parents=True, exist_ok=True)
             for name, recording in recordings.items():
                 write_columns(recording, out_directory / f"{name}.csv")
+            write_comparison(
+                out_directory / "report.html", f"{system.stem} in several tools", command_html(), recordings
+            )
         except OSError as error:
             fail(f"cannot write to {out_directory}: {error.strerror or error}", 2)
     worst = _print_differences(system.stem, recordings)
@@ -54,18 +61,14 @@ def compare(
 
 def _print_differences(title: str, recordings: dict[str, Recording]) -> float:
     """Print the largest difference of each column from the first recording; the largest of them is returned."""
-    (first, reference), *others = recordings.items()
-    table = ConsoleTable(title=f"{title}: largest difference from {first}, relative", title_justify="left")
-    table.add_column("variable")
-    found = {}
-    for name, recording in others:
-        table.add_column(name, justify="right")
-        found[name] = differences(reference, recording)
-    for variable in reference:
-        values = [column[variable] for column in found.values()]
-        table.add_row(variable, *("not recorded" if v is None else f"{v:.2g}" for v in values))
-    worst = {name: largest(column) for name, column in found.items()}
-    table.add_section()
-    table.add_row("largest", *(f"{value:.2g}" for value in worst.values()), style="bold")
-    out.print(table)
-    return max(worst.values())
+    found, worst = table(recordings)
+    shown = ConsoleTable(title=f"{title}: largest difference", title_justify="left")
+    for i, head in enumerate(found.columns):
+        shown.add_column(head, justify="right" if i else "left")
+    *rows, last = found.rows
+    for row in rows:
+        shown.add_row(*row)
+    shown.add_section()
+    shown.add_row(*last, style="bold")
+    out.print(shown)
+    return worst

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from cosim.errors import number, one_line
+from cosim.errors import number, one_line, whole_number
 
 NAME = "observer-fmus"
 SHOW_PROGRESS_AFTER = 1.5  # [s]
@@ -41,6 +41,14 @@ def plain(text: str | float) -> float:
         return number(text) if isinstance(text, str) else text
     except ValueError:
         raise typer.BadParameter(f"'{text}' is not a number") from None
+
+
+def whole(text: str | int) -> int:
+    """The whole number of an option, or its default, likewise."""
+    try:
+        return whole_number(text) if isinstance(text, str) else text
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a whole number") from None
 
 
 def _call_limit(text: str | float) -> float:

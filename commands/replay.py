@@ -11,18 +11,7 @@ import typer
 from rich.text import Text
 
 from commands.console import SHOWN, CallLimit, ParameterSet, fail, late_progress, out, split_assignments
-from commands.logs import (
-    Decimal,
-    Encoding,
-    Mapped,
-    Missing,
-    SampleTime,
-    Separator,
-    SkipBadRows,
-    SkipLines,
-    how_read,
-    reading,
-)
+from commands.logs import AS_IT_IS, Mapped, SampleTime, how_read, mapping_of, reads_logs
 from commands.records import Format, RecordFormat, command_html, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.fmu import Value, read_description
@@ -30,12 +19,14 @@ from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.replay import Replay
 from cosim.replay import replay as perform
-from cosim.report.page import Table, write_report
+from cosim.replay.reading import Reading
+from cosim.report.page import Table, on_run, write_report
 from cosim.system.parameter_set import parameters_of
 
 JITTER = 1e-3  # of the sample time: rows farther from their sample instants are worth a word
 
 
+@reads_logs
 def replay(
     fmu: Annotated[Path, typer.Argument(help="The observer, an .fmu file.", show_default=False)],
     log: Annotated[
@@ -52,7 +43,6 @@ def replay(
         ),
     ] = None,
     sample_time: SampleTime = None,
-    mapped: Mapped = None,
     assignments: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,12 +52,8 @@ def replay(
         ),
     ] = None,
     parameters: ParameterSet = None,
-    separator: Separator = None,
-    decimal: Decimal = None,
-    encoding: Encoding = None,
-    missing: Missing = None,
-    skip_lines: SkipLines = 0,
-    skip_bad_rows: SkipBadRows = False,
+    mapped: Mapped = None,
+    reading: Reading = AS_IT_IS,
     form: RecordFormat = Format.csv,
     limit: CallLimit = LIMIT,
 ) -> None:
@@ -87,8 +73,8 @@ def replay(
                 fmu,
                 log,
                 sample_time=sample_time,
-                mapping=split_assignments(mapped, "--map", "INPUT=COLUMN"),
-                reading=reading(separator, decimal, encoding, missing, skip_lines, skip_bad_rows),
+                mapping=mapping_of(mapped),
+                reading=reading,
                 overrides=overrides,
                 progress=progress,
                 limit=limit,
@@ -103,7 +89,7 @@ def replay(
         files = write_record(made.result, directory, "estimates", form)
         intro = command_html() + "".join(f"<p>{escape(fact)}</p>" for fact in facts)
         write_report(
-            directory / "report.html", made.result.system, intro, _inputs(made), [("Figures", "", made.result)]
+            directory / "report.html", made.result.system, intro, [_inputs(made)], [on_run("Figures", "", made.result)]
         )
     except OSError as error:
         fail(f"cannot write to {directory}: {error.strerror or error}", 2)

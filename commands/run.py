@@ -28,7 +28,7 @@ from cosim.fmu import Value
 from cosim.master.slave import RunError
 from cosim.master.watched import LIMIT
 from cosim.master.watched import run as run_system
-from cosim.report.page import Table, write_report
+from cosim.report.page import Table, on_run, write_report
 from cosim.results import Result
 from cosim.system.parameter_set import parameters_in_system
 
@@ -102,7 +102,9 @@ def run(
 
 def _write_report(result: Result, errors: Table | None, path: Path) -> None:
     intro = f"<p>{len(result.time) - 1} communication steps of {result.step:g} s up to t = {result.time[-1]:g} s.</p>"
-    write_report(path, result.system, command_html() + intro, errors, [("Figures", "", result)])
+    write_report(
+        path, result.system, command_html() + intro, [errors] if errors else [], [on_run("Figures", "", result)]
+    )
 
 
 def _summarise(result: Result, errors: Table | None, files: Sequence[Path]) -> None:

@@ -12,10 +12,11 @@ import typer
 from rich.markup import escape
 
 from commands.console import err, fail, out, split_assignments
-from commands.logs import Decimal, Encoding, Missing, SampleTime, Separator, SkipBadRows, SkipLines, how_read, reading
+from commands.logs import AS_IT_IS, SampleTime, how_read, reads_logs
 from cosim.errors import ExperimentError
 from cosim.replay import units
 from cosim.replay.log import Column, Log, read_log
+from cosim.replay.reading import Reading
 from cosim.replay.signals import TIME, read, time_column, times
 from fmu_src import ExportError, export
 from fmu_src.description.units import parse as parse_unit
@@ -25,6 +26,7 @@ from reference_models.recorded import BETWEEN, Signal, recorded
 _NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*\Z", re.ASCII)
 
 
+@reads_logs
 def signal(
     log: Annotated[
         Path,
@@ -53,12 +55,7 @@ def signal(
         str, typer.Option(help="As of build: host, all, or names of platforms, with commas.")
     ] = "host",
     out_directory: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the FMU.")] = Path("fmus"),
-    separator: Separator = None,
-    decimal: Decimal = None,
-    encoding: Encoding = None,
-    missing: Missing = None,
-    skip_lines: SkipLines = 0,
-    skip_bad_rows: SkipBadRows = False,
+    reading: Reading = AS_IT_IS,
 ) -> None:
     """Make an FMU whose outputs follow the columns of a recorded file: the same file, the same bytes.
 
@@ -76,7 +73,7 @@ def signal(
         fail(f"--between {between}: must be {' or '.join(BETWEEN)}", 2)
     mapping = split_assignments(mapped, "--map", "OUTPUT=COLUMN")
     try:
-        found = read_log(log, reading(separator, decimal, encoding, missing, skip_lines, skip_bad_rows))
+        found = read_log(log, reading)
         signals, facts = _signals(found, mapping, sample_time)
         with err.status(escape(f"building {name}")):
             component = recorded(name, signals, between, source=log.name)

@@ -26,6 +26,17 @@ def number(text: str) -> float:
     return float(text)
 
 
+def whole_number(text: str) -> int:
+    """The whole number that `text` is, likewise.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(f"'{text}' is not a whole number")
+    return int(text)
+
+
 def one_line(text: str, most: int = 0) -> str:
     """`text` as one line of characters that a terminal shows and does not obey; cut to `most` characters, if that is not 0."""
     line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))

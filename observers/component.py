@@ -41,14 +41,15 @@ class Port(Variable):
 
     `kind` is "Real", "Integer", "Boolean" (0 or 1) or "Enumeration" (then `enumeration` says which); all travel as doubles.
     `variability` is "continuous" or "discrete" (inputs, outputs), "tunable" or "fixed" (parameters), "constant" (constants). `local`
-    marks an output that is shown, not connected. `unit` is "" where the quantity has one that no unit expression can say, such as
-    m/sqrt(s), or may have any: the FMU then declares none.
+    marks an output that is shown, not connected; `given` a start value that was asked for and is no default. `unit` is "" where the
+    quantity has one that no unit expression can say, such as m/sqrt(s), or may have any: the FMU then declares none.
     """
 
     kind: str = "Real"
     variability: str = "continuous"
     enumeration: Enumeration | None = None
     local: bool = False
+    given: bool = False
     NEEDS_UNIT: ClassVar[bool] = False
 
 

@@ -271,6 +271,7 @@ def deviations(
                 min=smallest * v.nominal,
                 max=LARGEST_STD * v.nominal,
                 variability=variability,
+                given=v.name in (values or {}),
             )
         )
     if given:

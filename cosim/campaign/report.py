@@ -1,25 +1,23 @@
-"""What a campaign shows: a summary of all runs, a figure like Figure 7 of Gong, Ross & Kang 2007, and a report of both."""
+"""What a campaign shows: a summary of all runs, how the estimates and their errors lie over the runs, and a page of both."""
 
 from __future__ import annotations
 
-import io
 from html import escape
 from pathlib import Path
+from typing import NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from bokeh.models import Range1d
+from bokeh.plotting import figure as new_figure
 
 from cosim.campaign.campaign import TABLE, Campaign
 from cosim.campaign.run import Outcome
+from cosim.report.axes import COLOURS, ESTIMATE, TALL, TRUTH, axes, positive, span_of
 from cosim.report.estimates import Pair
-from cosim.report.figures import COLOURS, ESTIMATE, TRUTH
-from cosim.report.page import Table, html_table, write_page
-from cosim.whole import whole
+from cosim.report.page import Section, Table, write_report
 
-FIGURE = "figure.svg"
 SHOWN_FAILURES = 20
+NINETY, MOST = (0.05, 0.95), 0.95  # quantiles over the runs
 
 
 def succeeded(campaign: Campaign) -> list[Outcome]:
@@ -65,90 +63,100 @@ def counts(campaign: Campaign) -> dict[str, int]:
     return found
 
 
-def figure(campaign: Campaign) -> Figure:
-    """One panel for each estimate, against time, over all runs that did not fail.
+class Average(NamedTuple):
+    """A true parameter over the runs, (m,): the averages of the truth and of the estimates, and between what 90 % of these lie."""
 
-    Of a true parameter the average of the estimates and the truth, with the band that holds 90 % of the estimates; of a state,
-    whose true trajectory is another in every run, the rms error and the error that 95 % of the runs stay below.
+    truth: np.ndarray
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+class Errors(NamedTuple):
+    """The errors of a state over the runs, (m,): their rms, and what half of them and 95 % of them stay below."""
+
+    rms: np.ndarray
+    half: np.ndarray
+    most: np.ndarray
+
+
+def course(campaign: Campaign, pair: Pair) -> Average | Errors:
+    """What all runs that did not fail make of an estimate: of a state, whose true trajectory is another in every run, the errors.
 
     Raises:
         ValueError: all runs failed.
     """
-    done = succeeded(campaign)
+    done, i = succeeded(campaign), campaign.pairs.index(pair)
     if not done:
         raise ValueError(f"campaign of '{campaign.system}': all runs failed, there is nothing to draw")
-    count = len(campaign.pairs)
-    made = Figure(figsize=(8, 0.6 + 1.7 * count), layout="constrained")
-    axes = made.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    for i, (pair, axis) in enumerate(zip(campaign.pairs, axes, strict=True)):
-        truth = np.array([outcome.truths[:, i] for outcome in done])
-        estimate = np.array([outcome.estimates[:, i] for outcome in done])
-        if pair.truth in campaign.experiment.parameters:
-            _draw_average(axis, done[0].time, truth, estimate, campaign.experiment.settle)
-        else:
-            _draw_error(axis, done[0].time, np.abs(estimate - truth))
-        axis.set_ylabel(_label(campaign, pair))
-        axis.grid(color="#e5e5e5")
-        axis.legend(frameon=False, ncols=3, fontsize=8, loc="upper right")
-    axis.set_xlabel("time [s]")
-    axis.set_xlim(done[0].time[0], done[0].time[-1])
-    return made
+    truth = np.array([outcome.truths[:, i] for outcome in done])
+    estimate = np.array([outcome.estimates[:, i] for outcome in done])
+    if pair.truth in campaign.experiment.parameters:
+        return Average(truth.mean(axis=0), estimate.mean(axis=0), *np.quantile(estimate, NINETY, axis=0))
+    error = np.abs(estimate - truth)
+    return Errors(np.sqrt(np.mean(error**2, axis=0)), *np.quantile(error, (0.5, MOST), axis=0))
 
 
-def _draw_average(axis: Axes, time: np.ndarray, truth: np.ndarray, estimate: np.ndarray, settle: float) -> None:
-    """The axis fits what comes after `settle`; the first estimates, which may be anywhere, can leave it."""
-    low, high = np.quantile(estimate, (0.05, 0.95), axis=0)
-    axis.fill_between(time, low, high, color=ESTIMATE, alpha=0.25, linewidth=0, label="90 % of the runs")
-    axis.plot(time, truth.mean(axis=0), color=TRUTH, label="true")
-    axis.plot(time, estimate.mean(axis=0), "--", color=ESTIMATE, label="average of the estimates")
-    shown = time > time[0] + settle
-    if shown.any():
-        least, most = min(low[shown].min(), truth.min()), max(high[shown].max(), truth.max())
-        axis.set_ylim(least - 0.3 * (most - least), most + 0.6 * (most - least))
-
-
-def _draw_error(axis: Axes, time: np.ndarray, error: np.ndarray) -> None:
-    axis.semilogy(
-        time, np.quantile(error, 0.95, axis=0), color=COLOURS[4], linewidth=0.8, label="95 % of the runs below"
-    )
-    axis.semilogy(time, np.sqrt(np.mean(error**2, axis=0)), color=COLOURS[0], label="rms error over the runs")
-
-
-def _label(campaign: Campaign, pair: Pair) -> str:
+def _drawn(campaign: Campaign, pair: Pair, shared: Range1d) -> new_figure:
+    time, found = succeeded(campaign)[0].time, course(campaign, pair)
     unit = campaign.units[pair.truth]
-    what = pair.variable if pair.truth in campaign.experiment.parameters else f"error of {pair.variable}"
-    return f"{what} [{unit}]" if unit and unit != "1" else what
+    if isinstance(found, Average):
+        drawn = axes(pair.estimate, unit, time, shared, height=TALL)
+        drawn.band(found.low, found.high, "90 % of the runs", ESTIMATE)
+        drawn.line(found.truth, "true", TRUTH)
+        drawn.line(found.mean, "average of the estimates", ESTIMATE, dash="dashed")
+        return drawn.done()
+    drawn = axes(f"Error of {pair.estimate}", unit, time, shared, log=True, height=TALL)
+    for values, label, colour in (
+        (found.most, "95 % of the runs below", COLOURS[4]),
+        (found.half, "half of the runs below", COLOURS[2]),
+        (found.rms, "rms over the runs", COLOURS[0]),
+    ):
+        drawn.line(positive(values), label, colour)
+    return drawn.done()
 
 
-def svg(made: Figure) -> str:
-    """`made` as SVG text, the same for the same figure."""
-    text = io.StringIO()
-    # Real text, and no random identifiers or dates.
-    with matplotlib.rc_context({"svg.hashsalt": "campaign", "svg.fonttype": "none"}):
-        made.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()
+def _statuses(campaign: Campaign) -> list[Table]:
+    """How often each status held, in words, over all runs."""
+    found: dict[str, dict[str, int]] = {}
+    for outcome in succeeded(campaign):
+        for name, number in outcome.numbers.items():
+            column, _, word = name.rpartition(".")
+            if column.endswith(".status") and number:
+                held = found.setdefault(column, {})
+                held[word] = held.get(word, 0) + int(number)
+    return [
+        Table((column, "of the points"), [(word, f"{n / sum(held.values()):.2%}") for word, n in held.items()])
+        for column, held in found.items()
+    ]
 
 
-def write_campaign_report(campaign: Campaign, out: Path) -> None:
-    """Write `report.html` and, unless all runs failed, `figure.svg` into `out`.
+def _failures(campaign: Campaign) -> Section:
+    failures = [outcome for outcome in campaign.outcomes if outcome.failure]
+    more = len(failures) - SHOWN_FAILURES
+    shown = [(str(outcome.run), outcome.failure) for outcome in failures[:SHOWN_FAILURES]]
+    return Section(
+        "Runs that failed", [f"{more} more are in {TABLE}."] if more > 0 else [], [Table(("run", "reason"), shown)]
+    )
+
+
+def write_campaign_report(campaign: Campaign, path: Path, command_html: str = "") -> None:
+    """Write the page on a campaign; `command_html` is the command that made it.
 
     Raises:
-        OSError: `out` cannot be written.
+        OSError: the file cannot be written.
     """
-    found = ", ".join(f"{number} {label}" for label, number in counts(campaign).items())
-    parts = [f"<h1>{escape(campaign.system)}</h1>", f"<p>{escape(found)}. All numbers: {TABLE}.</p>"]
     done = succeeded(campaign)
+    found = ", ".join(f"{number} {label}" for label, number in counts(campaign).items())
+    intro = f"{command_html}<p>{escape(found)}. All numbers: {TABLE}.</p>"
+    tables, sections = [], []
     if done:
         varied = ", ".join(done[0].values) or "nothing"
-        parts += [f"<p>Varied: {escape(varied)}. {settled_means(campaign)}</p>", html_table(summary(campaign))]
-        drawing = svg(figure(campaign))
-        with whole(out / FIGURE) as partial:
-            partial.write_text(drawing, encoding="utf-8")
-        parts.append(drawing[drawing.index("<svg") :])
-    failures = [outcome for outcome in campaign.outcomes if outcome.failure]
-    if failures:
-        shown = [(str(outcome.run), outcome.failure) for outcome in failures[:SHOWN_FAILURES]]
-        parts += ["<h2>Runs that failed</h2>", html_table(Table(("run", "reason"), shown))]
-        if len(failures) > len(shown):
-            parts.append(f"<p>{len(failures) - len(shown)} more are in {TABLE}.</p>")
-    write_page(out / "report.html", f"Campaign {campaign.system}", parts)
+        intro += f"<p>Varied: {escape(varied)}. {escape(settled_means(campaign))}</p>"
+        tables = [summary(campaign)]
+        shared = span_of(done[0].time)
+        drawn = [_drawn(campaign, pair, shared) for pair in campaign.pairs]
+        sections = [Section("Over all runs", [], _statuses(campaign), drawn)]
+    if len(done) < len(campaign.outcomes):
+        sections.insert(0, _failures(campaign))
+    write_report(path, f"Campaign {campaign.system}", intro, tables, sections)

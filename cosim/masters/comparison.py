@@ -45,19 +45,22 @@ def differences(reference: Recording, other: Recording) -> dict[str, float | Non
 
 
 def _difference(a: np.ndarray, b: np.ndarray) -> float:
-    """max |a - b| / max(|a|, |b|) over (n,) values: relative to the column's largest. Equal values and two NaNs differ by 0.
+    """The largest of `differing`; infinite where the lengths differ."""
+    return float(np.max(differing(a, b), initial=0.0)) if a.shape == b.shape else np.inf
 
-    Infinite where only one of two values is finite, or where the lengths differ.
+
+def differing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """|a - b| / max(|a|, |b|), (n,): relative to the column's largest. Equal values and two NaNs differ by 0, and infinitely two values of
+    which only one is finite.
     """
-    if a.shape != b.shape:
-        return np.inf
     unequal = ~((a == b) | (np.isnan(a) & np.isnan(b)))
-    if not unequal.any():
-        return 0.0
-    if not (np.isfinite(a[unequal]).all() and np.isfinite(b[unequal]).all()):
-        return np.inf
-    finite = np.concatenate([a[np.isfinite(a)], b[np.isfinite(b)]])
-    return float(np.max(np.abs(a - b)[unequal]) / np.max(np.abs(finite)))
+    found, both = np.zeros(len(a)), np.isfinite(a) & np.isfinite(b)
+    if unequal.any():
+        found[unequal & ~both] = np.inf
+        finite = np.concatenate([a[np.isfinite(a)], b[np.isfinite(b)], [0.0]])
+        compared = unequal & both
+        found[compared] = np.abs(a - b)[compared] / np.max(np.abs(finite))
+    return found
 
 
 def largest(found: Mapping[str, float | None]) -> float:

@@ -57,7 +57,7 @@ def columns_of(
     """
     for name in mapping:
         if name not in inputs and name != TIME:
-            raise ExperimentError(f"the FMU has no input '{name}' to map; {suggest(name, inputs)}")
+            raise ExperimentError(f"there is no input '{name}' to map; {suggest(name, inputs)}")
     found = {name: log.column(mapping[name]) if name in mapping else log.find(name) for name in inputs}
     columns = {name: column for name, column in found.items() if column is not None}
     for name in inputs:

@@ -3,94 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
-from bokeh.models import FixedTicker, HoverTool, Legend, Range1d
+from bokeh.models import FixedTicker, Range1d
 from bokeh.plotting import figure as new_figure
 
+from cosim.report.axes import COLOURS, ESTIMATE, MOST, TALL, TRUTH, axes, colours, in_unit, positive, span_of
 from cosim.report.estimates import Pair, pairs
 from cosim.report.observed import Measurement, deviation_of, known_inputs, measurements
 from cosim.results import Result
 
-# The page turns these about where its reader likes it dark. None is a default of Bokeh, which leaves such out.
-INK, PAPER, GRID = "#1a1a1a", "#fefefe", "#e4e4e4"
-TRUTH, ESTIMATE = INK, "#d55e00"
-# Okabe and Ito's palette: told apart with every kind of colour vision.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a5195", "#767676")
-POINTS = 1500  # that a curve keeps; more would only make the file large
-ROW, TALL = 210, 330  # heights of a figure in pixels
-MOST = 8  # curves in one figure
-USUAL = (0.02, 0.98)  # quantiles between which an axis is never cut
-FAR = 3.0  # spans of these quantiles: what is farther off is a spike, at which the axis is cut
-NARROW = 0.05  # of the median: an axis that is cut shows as much to either side at least, or a constant would fill it with its rounding
-LEAST = 1e-16  # on a logarithmic axis
-
-
-@dataclass
-class Axes:
-    """A Bokeh figure and what was drawn in it, by which its vertical axis is chosen."""
-
-    figure: new_figure
-    time: np.ndarray
-    log: bool = False
-    whole: list[np.ndarray] = field(default_factory=list)  # values that the axis must show
-    usual: list[np.ndarray] = field(default_factory=list)  # values whose spikes it may cut
-
-    def line(self, values: np.ndarray, label: str, colour: str, *, step: bool = False, dash: str = "solid") -> None:
-        kept = _thin(values)
-        style = {"line_color": colour, "line_width": 1.6, "legend_label": label} if label else {"line_color": colour}
-        draw = self.figure.step if step else self.figure.line
-        draw(
-            _small(self.time[kept]),
-            _small(values[kept]),
-            line_dash=dash,
-            **({"mode": "after"} if step else {}),
-            **style,
-        )
-        (self.whole if colour == TRUTH else self.usual).append(values)
-
-    def band(self, low: np.ndarray, high: np.ndarray, label: str, colour: str) -> None:
-        kept = _thin(high)
-        edges = (_small(low[kept]), _small(high[kept]))
-        self.figure.varea(
-            _small(self.time[kept]), *edges, fill_color=colour, fill_alpha=0.18, legend_label=label, level="underlay"
-        )
-
-    def done(self) -> new_figure:
-        cut = self._choose_range()
-        if cut:
-            self.figure.title.text += " (cut: zoom out)"
-        return self.figure
-
-    def _choose_range(self) -> bool:
-        """Whether spikes were cut."""
-        values = [v[np.isfinite(v)] for v in (*self.whole, *self.usual)]
-        seen = np.concatenate(values) if values else np.empty(0)
-        if self.log:
-            seen = seen[seen > 0]
-        if not len(seen):
-            return False
-        scale, back = (np.log10, lambda x: 10.0**x) if self.log else (lambda x: x, lambda x: x)
-        seen = scale(seen)
-        low, high = least, most = float(seen.min()), float(seen.max())
-        first, last = (float(q) for q in np.quantile(seen, USUAL))
-        span = last - first
-        if span > 0 and not self.log and (high > last + FAR * span or low < first - FAR * span):
-            must = np.concatenate([v[np.isfinite(v)] for v in self.whole] or [np.array([first])])
-            around = max(span / 2, NARROW * abs(float(np.median(seen))))
-            low = min(max(low, first - around), float(must.min()))
-            high = max(min(high, last + around), float(must.max()))
-        pad = 0.06 * (high - low) or 0.06 * abs(high) or 1.0
-        self.figure.y_range = Range1d(float(back(low - pad)), float(back(high + pad)))
-        return bool(low > least or high < most)
-
 
 def figures(result: Result) -> list[new_figure]:
     """The figures that the columns of `result` allow, in the order of reading; their time axes move together."""
-    shared = Range1d(
-        float(result.time[0]), float(result.time[-1]) if len(result.time) > 1 else float(result.time[0]) + 1
-    )
+    shared = span_of(result.time)
     found = pairs(result)
     estimates = [name for name in result.names if ".estimate." in name]
     truths = {pair.estimate: pair.truth for pair in found}
@@ -114,44 +40,44 @@ def figures(result: Result) -> list[new_figure]:
             made += _grouped(
                 result, {n: (v, result.units[n]) for n, v in curves.items()}, title, shared, log, step=True
             )
-    return [*made, _step_times(result, shared)]
+    return [*made, _step_times(result, shared)] if result.step_ns else made
 
 
 def _estimate(result: Result, name: str, truth: str | None, shared: Range1d) -> new_figure:
     variable = name.partition(".estimate.")[2]
-    axes = _axes(result, f"{variable}{_of(result, name)}", result.units[name], shared)
+    drawn = axes(f"{variable}{_of(result, name)}", result.units[name], result.time, shared)
     std = deviation_of(result, name)
     if std is not None:
-        axes.band(result[name] - 2 * std, result[name] + 2 * std, "estimated +- 2 std", ESTIMATE)
+        drawn.band(result[name] - 2 * std, result[name] + 2 * std, "estimated +- 2 std", ESTIMATE)
     if truth is not None:
-        axes.line(result[truth], "true", TRUTH)
-    axes.line(result[name], "estimated", ESTIMATE, dash="dashed" if truth is not None else "solid")
-    return axes.done()
+        drawn.line(result[truth], "true", TRUTH)
+    drawn.line(result[name], "estimated", ESTIMATE, dash="dashed" if truth is not None else "solid")
+    return drawn.done()
 
 
 def _errors(result: Result, found: Sequence[Pair], shared: Range1d) -> new_figure:
-    axes = _axes(result, "Errors of the estimates", "|estimate - truth|", shared, log=True, height=TALL)
-    for pair, colour in zip(found, _colours(len(found)), strict=True):
+    drawn = axes("Errors of the estimates", "|estimate - truth|", result.time, shared, log=True, height=TALL)
+    for pair, colour in zip(found, colours(len(found)), strict=True):
         error = pair.error(result)
-        label = pair.variable + _unit(result.units[pair.truth])
-        axes.line(np.where(error > LEAST, error, np.nan), label, colour)  # a logarithmic axis has no zero
-    return axes.done()
+        label = pair.variable + in_unit(result.units[pair.truth])
+        drawn.line(positive(error), label, colour)
+    return drawn.done()
 
 
 def _measured(result: Result, one: Measurement, shared: Range1d) -> new_figure:
-    axes = _axes(result, one.name, one.unit, shared)
-    axes.line(one.measured, "measured", COLOURS[0])
-    axes.time = result.time[one.sampled]
-    axes.line(one.predicted, "predicted", ESTIMATE, dash="dashed")
-    return axes.done()
+    drawn = axes(one.name, one.unit, result.time, shared)
+    drawn.line(one.measured, "measured", COLOURS[0])
+    drawn.x = result.time[one.sampled]
+    drawn.line(one.predicted, "predicted", ESTIMATE, dash="dashed")
+    return drawn.done()
 
 
 def _innovation(result: Result, one: Measurement, shared: Range1d) -> new_figure:
-    axes = _axes(result, f"Innovation of {one.name}", one.unit, shared)
+    drawn = axes(f"Innovation of {one.name}", one.unit, result.time, shared)
     if one.deviation is not None:
-        axes.band(-2 * one.deviation, 2 * one.deviation, "+- 2 std", COLOURS[0])
-    axes.line(one.innovation, "measured - predicted", COLOURS[0], step=True)
-    return axes.done()
+        drawn.band(-2 * one.deviation, 2 * one.deviation, "+- 2 std", COLOURS[0])
+    drawn.line(one.innovation, "measured - predicted", COLOURS[0], step=True)
+    return drawn.done()
 
 
 def _grouped(
@@ -167,18 +93,18 @@ def _grouped(
     for first in range(0, len(names), MOST):
         some = names[first : first + MOST]
         units = {curves[name][1] for name in some}
-        axes = _axes(result, title, units.pop() if len(units) == 1 else "units in the legend", shared, log, TALL)
-        for name, colour in zip(some, _colours(len(some)), strict=True):
+        drawn = axes(title, units.pop() if len(units) == 1 else "units in the legend", result.time, shared, log, TALL)
+        for name, colour in zip(some, colours(len(some)), strict=True):
             values, unit = curves[name]
-            axes.line(np.where(values > 0, values, np.nan) if log else values, name + _unit(unit), colour, step=step)
-        made.append(axes.done())
+            drawn.line(positive(values, 0.0) if log else values, name + in_unit(unit), colour, step=step)
+        made.append(drawn.done())
     return made
 
 
 def _outputs(result: Result, shared: Range1d) -> list[new_figure]:
     """For each element: what a system without an observer can show."""
     made = []
-    for element in result.step_ns:
+    for element in result.sources:
         head = f"{element}."
         names = [n for n in result.names if n.startswith(head) and result.kinds[n] == "Real"]
         curves = {n.removeprefix(head): (result[n], result.units[n]) for n in names}
@@ -191,9 +117,9 @@ def _status(result: Result, name: str, shared: Range1d) -> new_figure:
     items, values = result.items[name], result[name].astype(int)
     there = sorted({int(v) for v in values})
     place = {code: i for i, code in enumerate(there)}
-    axes = _axes(result, f"Status ({name})", "", shared, height=110 + 28 * len(there))
-    axes.line(np.array([place[v] for v in values], dtype=float), "", COLOURS[0], step=True)
-    plot = axes.figure
+    drawn = axes(f"Status ({name})", "", result.time, shared, height=110 + 28 * len(there))
+    drawn.line(np.array([place[v] for v in values], dtype=float), "", COLOURS[0], step=True)
+    plot = drawn.figure
     plot.yaxis.ticker = FixedTicker(ticks=list(place.values()))
     plot.yaxis.major_label_overrides = {i: items.get(code, str(code)) for code, i in place.items()}
     plot.y_range = Range1d(-0.5, len(there) - 0.5)
@@ -201,80 +127,14 @@ def _status(result: Result, name: str, shared: Range1d) -> new_figure:
 
 
 def _step_times(result: Result, shared: Range1d) -> new_figure:
-    axes = _axes(result, "Computing time per communication step", "us", shared, log=True, height=TALL)
-    for (element, ns), colour in zip(result.step_ns.items(), _colours(len(result.step_ns)), strict=True):
-        axes.time = result.time[: len(ns)]
-        axes.line(ns / 1000, element if len(result.step_ns) <= MOST else "", colour)
-    return axes.done()
-
-
-def _axes(result: Result, title: str, unit: str, shared: Range1d, log: bool = False, height: int = ROW) -> Axes:
-    plot = new_figure(
-        title=title,
-        height=height,
-        sizing_mode="stretch_width",
-        x_range=shared,
-        y_axis_type="log" if log else "linear",
-        tools="pan,box_zoom,wheel_zoom,reset,save",
-        toolbar_location="below",
-        background_fill_color=PAPER,
-        border_fill_color=PAPER,
-        outline_line_color=None,
-        min_border_left=56,
-    )
-    plot.toolbar.logo = None
-    plot.add_tools(HoverTool(tooltips=[("time", "$x{0.000000} s"), ("value", "$y{0.000000e+0}")]))
-    plot.title.text_color, plot.title.text_font_size = INK, "15px"
-    plot.xaxis.axis_label = "time [s]"
-    plot.yaxis.axis_label = unit if unit not in ("", "1") else None
-    for axis in (*plot.xaxis, *plot.yaxis):
-        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = INK
-        axis.major_label_text_color = axis.axis_label_text_color = INK
-        axis.axis_label_text_font_style = "normal"
-    plot.grid.grid_line_color = GRID
-    plot.add_layout(_legend(), "above")
-    return Axes(plot, result.time, log)
-
-
-def _legend() -> Legend:
-    return Legend(
-        orientation="horizontal",
-        click_policy="hide",
-        border_line_color=None,
-        background_fill_color=PAPER,
-        label_text_color=INK,
-        padding=2,
-        margin=2,
-        label_text_font_size="12px",
-        ncols=4,
-    )
-
-
-def _small(values: np.ndarray) -> np.ndarray:
-    return values.astype(np.float32)  # 7 digits are more than a screen shows, at half the size
-
-
-def _thin(values: np.ndarray) -> np.ndarray:
-    """Indices of at most POINTS values: the least and the largest of every stretch, so that no peak is lost."""
-    if len(values) <= POINTS:
-        return np.arange(len(values))
-    kept = []
-    for stretch in np.array_split(np.arange(len(values)), POINTS // 2):
-        here = values[stretch]
-        low, high = np.where(np.isnan(here), np.inf, here), np.where(np.isnan(here), -np.inf, here)
-        kept += [stretch[np.argmin(low)], stretch[np.argmax(high)]]
-    return np.unique(kept)
+    drawn = axes("Computing time per communication step", "us", result.time, shared, log=True, height=TALL)
+    for (element, ns), colour in zip(result.step_ns.items(), colours(len(result.step_ns)), strict=True):
+        drawn.x = result.time[: len(ns)]
+        drawn.line(ns / 1000, element if len(result.step_ns) <= MOST else "", colour)
+    return drawn.done()
 
 
 def _of(result: Result, name: str) -> str:
     """Whose estimate it is, where there are several observers."""
     observers = {n.partition(".estimate.")[0] for n in result.names if ".estimate." in n}
     return f" ({name.partition('.estimate.')[0]})" if len(observers) > 1 else ""
-
-
-def _colours(count: int) -> list[str]:
-    return [COLOURS[i % len(COLOURS)] for i in range(count)]
-
-
-def _unit(unit: str) -> str:
-    return f" [{unit}]" if unit not in ("", "1") else ""

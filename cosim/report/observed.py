@@ -33,7 +33,7 @@ def measurements(result: Result) -> list[Measurement]:
     """Those of all observers that put out innovations."""
     found = []
     names = set(result.names)
-    for element in result.step_ns:
+    for element in result.sources:
         inputs = {
             path: given for path, given in result.inputs.items() if path.startswith(f"{element}.") and given.measured
         }

@@ -1,4 +1,4 @@
-"""The report on one or several runs: a single HTML file that needs nothing else, not even a network."""
+"""A report, whatever it is on: a single HTML file that needs nothing else, not even a network."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ import numpy as np
 from bokeh.core.json_encoder import serialize_json
 from bokeh.embed import json_item
 from bokeh.layouts import column
+from bokeh.plotting import figure as new_figure
 from bokeh.resources import Resources
 
-from cosim.report.figures import GRID, INK, PAPER, figures
+from cosim.report.axes import GRID, INK, PAPER
+from cosim.report.figures import figures
 from cosim.results import Result
 from cosim.whole import whole
 
@@ -29,11 +31,12 @@ h1, h2 { line-height: 1.25; } h2 { margin-top: 3rem; border-top: 1px solid var(-
 a { color: inherit; } code { font-size: 0.92em; }
 table { border-collapse: collapse; margin: 1.5rem 0; font-size: 0.92rem; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 0.3rem 0.9rem 0.3rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-td { white-space: nowrap; }
+td { white-space: nowrap; } pre { font-size: 0.92em; }
+caption { text-align: left; font-weight: 600; }
 th { border-bottom: 2px solid var(--ink); }
 .scroll { overflow-x: auto; } svg { max-width: 100%; height: auto; }
 """
-_NO_SCRIPT = "<noscript><p>The figures need JavaScript; the numbers are in results.csv.</p></noscript>"
+_NO_SCRIPT = "<noscript><p>The figures need JavaScript; the numbers are in the files beside this one.</p></noscript>"
 # The figures are drawn in the colours of the reader's choice, and once more where that changes.
 _DRAW = """
 const unpacked = async id => {
@@ -62,40 +65,65 @@ const draw = async () => {
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text: the heads of its columns, and rows of as many cells."""
+    """A table of text: the heads of its columns, rows of as many cells, and what stands above it, if anything."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
+    caption: str = ""
 
 
-def write_report(
-    path: Path, title: str, intro_html: str, table: Table | None, results: Sequence[tuple[str, str, Result]]
-) -> None:
-    """Write one self-contained HTML file: introduction, summary table, and a section of figures for each result.
+@dataclass(frozen=True)
+class Section:
+    """A part of a report: heading, sentences (plain text, a paragraph each), tables, and figures below each other."""
+
+    heading: str
+    sentences: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    figures: Sequence[new_figure] = ()
+
+
+def on_run(heading: str, comment: str, result: Result) -> Section:
+    """The section on a run: how often each status occurred, and all its figures."""
+    return Section(heading, (comment,) if comment else (), statuses(result), figures(result))
+
+
+def write_report(path: Path, title: str, intro_html: str, tables: Sequence[Table], sections: Sequence[Section]) -> None:
+    """Write one self-contained HTML file: introduction, summary, and the sections.
 
     Args:
-        path: the file to write.
+        path: the file to write; its folder is made where there is none.
         title: the page's title, plain text.
         intro_html: what comes first, HTML.
-        table: the summary; its cells are plain text.
-        results: heading and comment (both plain text) and the run that they are about.
+        tables: the summary; their cells are plain text.
+        sections: what follows, with a table of contents where there are several.
+
+    Raises:
+        OSError: the file cannot be written.
     """
-    parts = [f"<h1>{escape(title)}</h1>", intro_html]
-    if table is not None:
-        parts.append(html_table(table))
-    if len(results) > 1:
-        links = (f'<li><a href="#run-{i}">{escape(heading)}</a></li>' for i, (heading, _, _) in enumerate(results))
+    parts = [f"<h1>{escape(title)}</h1>", intro_html, *map(_html_table, tables)]
+    if len(sections) > 1:
+        links = (f'<li><a href="#part-{i}">{escape(one.heading)}</a></li>' for i, one in enumerate(sections))
         parts.append(f"<ul>{''.join(links)}</ul>")
     drawn = []
-    for i, (heading, comment, result) in enumerate(results):
-        parts.append(f'<h2 id="run-{i}">{escape(heading)}</h2>')
-        if comment:
-            parts.append(f"<p>{escape(comment)}</p>")
-        parts += [html_table(words) for words in statuses(result)]
-        parts.append(f'<div id="run-{i}-figures" class="figures"></div>')
-        drawn.append(json_item(column(*figures(result), sizing_mode="stretch_width"), f"run-{i}-figures"))
-    parts.append(_NO_SCRIPT)
-    write_page(path, title, parts, _drawing(drawn))
+    for i, one in enumerate(sections):
+        parts.append(f'<h2 id="part-{i}">{escape(one.heading)}</h2>')
+        parts += [f"<p>{escape(sentence)}</p>" for sentence in one.sentences]
+        parts += map(_html_table, one.tables)
+        if one.figures:
+            parts.append(f'<div id="part-{i}-figures" class="figures"></div>')
+            drawn.append(json_item(column(*one.figures, sizing_mode="stretch_width"), f"part-{i}-figures"))
+    if drawn:
+        parts += [_NO_SCRIPT, _drawing(drawn)]
+    body = "\n".join(parts)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole(path) as partial:
+        partial.write_text(
+            f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            '<meta name="color-scheme" content="light dark">\n'
+            f"<style>{_STYLE}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n",
+            encoding="utf-8",
+        )
 
 
 def statuses(result: Result) -> list[Table]:
@@ -112,19 +140,6 @@ def statuses(result: Result) -> list[Table]:
     return made
 
 
-def write_page(path: Path, title: str, parts: Sequence[str], scripts: str = "") -> None:
-    """Write one self-contained HTML file of the given `parts` (HTML), then `scripts`; the title is plain text."""
-    body = "\n".join(parts)
-    with whole(path) as partial:
-        partial.write_text(
-            f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            '<meta name="color-scheme" content="light dark">\n'
-            f"<style>{_STYLE}</style>\n</head>\n<body>\n{body}\n{scripts}</body>\n</html>\n",
-            encoding="utf-8",
-        )
-
-
 def _drawing(items: Sequence[object]) -> str:
     """The scripts that draw `items`: Bokeh's own library and what it draws, packed to a quarter of their size."""
     library = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
@@ -137,11 +152,11 @@ def _packed(text: str) -> str:
     return b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
 
 
-def html_table(table: Table) -> str:
-    """`table` as HTML."""
-
+def _html_table(table: Table) -> str:
     def row(tag: str, cells: Sequence[str]) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
 
     lines = [row("th", table.columns), *(row("td", cells) for cells in table.rows)]
+    if table.caption:
+        lines.insert(0, f"<caption>{escape(table.caption)}</caption>")
     return '<div class="scroll"><table>\n' + "\n".join(lines) + "\n</table></div>"

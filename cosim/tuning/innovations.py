@@ -44,6 +44,10 @@ class Innovations:
         logs = np.log(np.diagonal(L, axis1=1, axis2=2))
         return np.where(there, e, np.nan), np.where(there, logs, np.nan)
 
+    def series(self) -> np.ndarray:
+        """What is white if the observer is right, (n, m): `whitened`, or the innovations as they are where nobody says their size."""
+        return self.nu if self.S is None else self.whitened()[0]
+
 
 def log_likelihood(innovations: Innovations) -> float:
     """The logarithm of the probability density of the innovations; -inf where a covariance is none."""
@@ -98,9 +102,8 @@ class Consistency:
 
 def consistency(innovations: Innovations) -> Consistency:
     """What the tests say."""
-    nis, band, series = math.nan, (math.nan, math.nan), innovations.nu
+    nis, band, series = math.nan, (math.nan, math.nan), innovations.series()
     if innovations.S is not None:
-        series, _ = innovations.whitened()
         squares = series[np.isfinite(series)] ** 2
         count = max(len(squares), 1)
         low, high = (float(chi2.ppf(q, count)) / count for q in ((1 - BAND) / 2, (1 + BAND) / 2))
@@ -111,15 +114,22 @@ def consistency(innovations: Innovations) -> Consistency:
 
 def whiteness(series: np.ndarray) -> float:
     """The p-value of Ljung and Box's test (Biometrika 65, 1978) of a series (n), NaN where a value is missing; 1 where it is too short."""
-    there = np.isfinite(series)
-    count = int(there.sum())
-    lags = min(LAGS, count // 5)
-    if lags < 1:
+    r, count = correlations(series), int(np.isfinite(series).sum())
+    if not len(r):
         return 1.0
+    statistic = count * (count + 2) * float(np.sum(r**2 / (count - np.arange(1, len(r) + 1))))
+    return float(chi2.sf(statistic, len(r)))
+
+
+def correlations(series: np.ndarray) -> np.ndarray:
+    """Those of a series (n), NaN where a value is missing, with itself 1, 2, ... samples later: LAGS of them, or a fifth of the samples.
+
+    Empty where it is too short, or constant.
+    """
+    there = np.isfinite(series)
+    lags = min(LAGS, int(there.sum()) // 5)
+    if lags < 1:
+        return np.empty(0)
     x = np.where(there, series - series[there].mean(), 0.0)
     power = float(x @ x)
-    if not power > 0:
-        return 1.0
-    r = np.array([x[k:] @ x[:-k] for k in range(1, lags + 1)]) / power
-    statistic = count * (count + 2) * float(np.sum(r**2 / (count - np.arange(1, lags + 1))))
-    return float(chi2.sf(statistic, lags))
+    return np.array([x[k:] @ x[:-k] for k in range(1, lags + 1)]) / power if power > 0 else np.empty(0)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.errors import ExperimentError
-from cosim.fmu import Value, read_description
+from cosim.fmu import Value, read_description, unit_of
 from cosim.master.repeated import Repeated
 from cosim.master.watched import LIMIT
 from cosim.replay.reading import Reading
@@ -54,6 +54,7 @@ class Tuned:
         zeros: noises that are 0 and stay so.
         warnings: what to think of before the values are used, a sentence each.
         given: other noises that were given, which belong to the values.
+        outputs: the unit of each output whose innovations count, by its name.
     """
 
     parameters: tuple[Parameter, ...]
@@ -66,6 +67,7 @@ class Tuned:
     zeros: tuple[str, ...]
     warnings: list[str]
     given: Mapping[str, float]
+    outputs: Mapping[str, str]
 
 
 def tune(
@@ -143,6 +145,7 @@ def tune(
         chosen.zeros,
         _warnings(chosen, after, said, held_back),
         noises_of(description, settings),
+        {v.name: unit_of(v) for v in description.modelVariables if v.name in trials.outputs},
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import browser
 from advice.region import AdviceError
 from observers.component import Component
 from observers.model import Model
@@ -54,6 +55,13 @@ def test_what_is_advised_can_be_copied_and_builds(tank: Path) -> None:
     exec("\n".join((TANK, imported, made)), namespace)
     assert isinstance(namespace["observer"], Component)
     assert [path.name for path in Path().iterdir() if path.is_file()] == ["tank.py"]
+    page = Path("results/tank_advice.html")
+    assert lines[-1] == str(page)
+    text = page.read_text(encoding="utf-8")
+    for words in (made.replace('"', "&quot;"), "Not for this model: elementary:", "tank: riccati on a fresh motion"):
+        assert words.replace("riccati", made.split("(")[0].split()[-1]) in text
+    assert all(f"<td>{method}</td>" in text for method in found)
+    browser.check(page, 7)
 
 
 @pytest.mark.long
@@ -70,6 +78,7 @@ def test_a_log_is_predicted_and_gives_the_sample_time(tank: Path) -> None:
     assert "Sample time: 0.25 s" in done.stdout
     row = next(line.split() for line in done.stdout.splitlines() if line.startswith(" ukf"))
     assert float(row[1]) == pytest.approx(0.01, rel=0.2)  # of a good prediction nothing but the noise is left
+    assert "over log.csv</h2>" in Path("results/tank_advice.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.long
@@ -97,6 +106,9 @@ def test_where_no_observer_applies_it_says_why_of_each_and_ends_with_1(tank: Pat
         (TANK, ["--sample-time", "nan"], "--sample-time nan must be between"),
         (TANK, ["--log", "no.csv"], "no.csv: there is no such file"),
         (TANK, ["--log", "short.csv"], "short.csv: 2 rows are too few"),
+        (TANK, ["--map", "y=level"], "how a log is read is said, but there is none: give --log"),
+        (TANK, ["--log", "other.csv", "--map", "inflow=inflows", "--map", "z=y"], "there is no input 'z' to map"),
+        (TANK, ["--log", "other.csv", "--map", "inflow=flow"], "flow"),
         (TANK, ["--log", "other.csv"], "other.csv: there is no column 'inflow'; did you mean 'inflows'?"),
     ],
 )
@@ -121,11 +133,12 @@ def test_the_noise_that_an_observer_in_the_file_was_given_is_taken(tank: Path, m
     for more, arguments in (
         ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.03})", []),
         ("ukf(TANK, sample_time=1.0)", []),
+        ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.1})", []),  # which is the default too
         ("ukf(TANK, sample_time=1.0, measurement_noise={'y': 0.03})", ["--noise", "y=0.2"]),
     ):
         tank.write_text(f"from observers.ukf import ukf\n{TANK}\nobserver = {more}\n")
         assert "enough" in refused(observer_fmus("advise", tank, *arguments))
-    assert told == [{"y": 0.03}, {}, {"y": 0.2}]
+    assert told == [{"y": 0.03}, {}, {"y": 0.1}, {"y": 0.2}]
 
 
 def test_each_model_of_a_file_is_advised_on_with_its_own_noise(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,6 +155,29 @@ def test_each_model_of_a_file_is_advised_on_with_its_own_noise(tank: Path, monke
     assert done.exit_code == 2
     assert told == [("tank", {}), ("pond", {"w": 0.5})]
     assert done.stderr.split() == ["error:", "tank:", "enough", "error:", "pond:", "enough"]
+
+
+def test_a_log_is_read_as_replay_reads_it(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = []
+
+    def keep(model: Model, **given: object) -> None:
+        told.append(given["record"])
+        raise AdviceError("enough")
+
+    monkeypatch.setattr("advice.advise.advise", keep)
+    tank.write_text(TANK + TANK.replace("TANK", "POND").replace('"tank"', '"pond"').replace('"y"', '"w"'))
+    rows = [f"{k};{k / 8:g};0,5".replace(".", ",") for k in range(101)]
+    rows[3] = "3;none;0,5"
+    Path("log.csv").write_text("\n".join(["made by a logger", "t;depth;inflow", *rows]))
+    options = ("--map", "time=t", "--map", "y=depth", "--map", "w=depth", "--missing", "none", "--skip-lines", "1")
+    done = observer_fmus("advise", tank, "--log", "log.csv", *options, "--decimal", ",", "--separator", ";")
+    assert done.stderr.split() == ["error:", "enough"] * 2
+    for record, name in zip(told, "yw", strict=True):
+        assert record.sample_time == 1.0 and np.isnan(record.measured[name][3])
+        np.testing.assert_allclose(
+            np.delete(record.measured[name], 3), np.delete(np.arange(101) / 8, 3), rtol=0, atol=0
+        )
+        assert set(record.inputs["inflow"]) == {0.5}
 
 
 @pytest.mark.parametrize("swallowed", [False, True], ids=["heard", "swallowed by a library"])

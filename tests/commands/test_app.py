@@ -73,6 +73,13 @@ def test_the_version_is_the_packages() -> None:
             "Invalid value for '--runs'",
             "observer-fmus campaign",
         ),
+        (("campaign", "x.ssp", "--runs", "1_0", "--vary", "a.b"), "'1_0' is not a whole", "observer-fmus campaign"),
+        (("campaign", "x.ssp", "--runs", "2", "--seed", "\u0663"), "is not a whole number", "observer-fmus campaign"),
+        (("campaign", "x.ssp", "--runs", "2", "--workers", "1_0"), "is not a whole number", "observer-fmus campaign"),
+        (("tune", "x.fmu", "x.csv", "--ahead", "1_0"), "'1_0' is not a whole number", "observer-fmus tune"),
+        (("tune", "x.fmu", "x.csv", "--ahead", "0"), "0 samples: 1 is the least", "observer-fmus tune"),
+        (("signal", "x.csv", "--skip-lines", "1_0"), "'1_0' is not a whole number", "observer-fmus signal"),
+        (("replay", "x.fmu", "x.csv", "--skip-lines", "-1"), "-1 lines cannot be left out", "observer-fmus replay"),
         (("campaign", "x.ssp", "--runs", "2"), "--vary", "observer-fmus campaign"),
         (("replay", "x.fmu"), "Missing argument", "observer-fmus replay"),
         (("check",), "Missing argument", "observer-fmus check"),
@@ -152,3 +159,36 @@ def test_ctrl_c_is_no_traceback_and_status_130(monkeypatch: pytest.MonkeyPatch, 
     done = CliRunner().invoke(app, ["replay", "x.fmu", "log.csv", "--out", str(tmp_path / "out")])
     assert done.exit_code == 130 and "Traceback" not in done.output + done.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("imported", ["typer", "commands.console", "commands.run", "numpy"])
+def test_ctrl_c_while_modules_are_imported_is_nothing_and_status_130(imported: str) -> None:
+    code = f"""
+import signal, sys
+class Pressing:
+    def find_spec(self, name, path=None, target=None):
+        if name == {imported!r}:
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Pressing())
+sys.argv = ["observer-fmus", "run", "x.ssp"]
+from commands.start import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_a_verb_hears_ctrl_c_again_and_one_that_is_ignored_stays_so() -> None:
+    for before, wanted in (("signal.default_int_handler",) * 2, ("signal.SIG_IGN",) * 2):
+        code = f"""
+import signal, sys
+signal.signal(signal.SIGINT, {before})
+sys.argv = ["observer-fmus", "run", "no.ssp"]
+from commands.start import main
+try:
+    main()
+except SystemExit as end:
+    print(end.code, signal.getsignal(signal.SIGINT) == {wanted})
+"""
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stdout == "2 True\n"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import browser
 from cosim.fmu import read_description
 from cosim.results import read_csv
 from cosim.system import Element, System, write_ssp
@@ -49,10 +50,21 @@ def test_tune_shows_what_it_found_and_replay_takes_it(built: Build, log: Path, t
         assert word in result.output
     values = parameters_of(out, read_description(fmu))
     assert values["tuning.process_noise.s"] == 1e-9 and "tuning.gate" not in values
+    page = (tmp_path / "new" / "tuned.html").read_text(encoding="utf-8")
+    for words in ("tuning.process_noise.v", "mean of NIS", "whiteness", "120 measurements", "Innovations"):
+        assert words in page
     assert observer_fmus("replay", fmu, log, "--parameters", out, "--out", tmp_path / "a").exit_code == 0
     settings = [word for name, value in values.items() for word in ("--set", f"{name}={value!r}")]
     assert observer_fmus("replay", fmu, log, *settings, "--out", tmp_path / "b").exit_code == 0
     assert (tmp_path / "a" / "estimates.csv").read_bytes() == (tmp_path / "b" / "estimates.csv").read_bytes()
+
+
+@pytest.mark.long
+def test_a_browser_draws_the_innovations_before_and_after(built: Build, log: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    arguments = (built("moved_riccati"), log, log, *QUICK, "--out", tmp_path / "x.ssv", "--report", page)
+    assert observer_fmus("tune", *arguments).exit_code == 0
+    browser.check(page, 3)
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,13 @@ import pytest
 from elftools.elf.elffile import ELFFile
 from typer.testing import CliRunner, Result
 
+import browser
 from commands.app import app
 from cosim.campaign import campaign as module
 from cosim.campaign import workers
 from cosim.campaign.campaign import campaign
-from cosim.campaign.report import figure, summary, svg, write_campaign_report
+from cosim.campaign.picture import figure, svg
+from cosim.campaign.report import course, summary, write_campaign_report
 from cosim.campaign.run import ROWS
 from cosim.campaign.variation import draw
 from cosim.campaign.workers import connected
@@ -266,7 +268,8 @@ def test_a_run_that_fails_is_recorded_with_its_reason_and_the_others_go_on(
         result, 1
     )
     page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("element &#x27;growing&#x27;") == len(failed) and "<svg" in page
+    assert page.count("element &#x27;growing&#x27;") == len(failed) and "Runs that failed" in page
+    assert "<svg" in (tmp_path / "out" / "figure.svg").read_text()
 
 
 @pytest.mark.long
@@ -278,7 +281,7 @@ def test_an_fmu_that_crashes_its_process_is_a_failed_run(system: Path, built: Bu
     assert made.outcomes[0].failure == "element 'crashing' at t = 0: fmi2DoStep ended the process by SIGILL"
     with pytest.raises(ValueError, match="all runs failed"):
         figure(made)
-    write_campaign_report(made, tmp_path / "out")
+    write_campaign_report(made, tmp_path / "out" / "report.html")
     assert "ended the process by SIGILL" in (tmp_path / "out" / "report.html").read_text()
 
 
@@ -318,9 +321,24 @@ def test_the_figure_has_the_averages_over_the_runs(system: Path, whole: Path) ->
     np.testing.assert_allclose(
         errors["rms error over the runs"], np.sqrt(np.mean((estimates - truths)[:, :, 0] ** 2, axis=0)), rtol=1e-15
     )
+    found = course(made, made.pairs[0])
+    below = np.abs(estimates - truths)[:, :, 0]
+    assert ((below < found.half).mean(axis=0) == 0.5).all() and ((below < found.most).sum(axis=0) == 28).all()
     assert [axis.get_ylabel() for axis in (x1, x2, theta)] == ["error of x1 [m]", "error of x2 [m/s]", "theta [m/s2]"]
     assert svg(figure(made)) == svg(figure(made))
     assert [row[0] for row in summary(made).rows] == [f"observer.estimate.{v}" for v in ("x1", "x2", "theta")]
+
+
+@pytest.mark.long
+def test_a_browser_draws_the_report_of_a_campaign(system: Path, whole: Path, tmp_path: Path) -> None:
+    made = campaign(system, whole, runs=30, vary=VARY, settle=1.0)
+    write_campaign_report(made, tmp_path / "report.html", "<p>observer-fmus campaign</p>")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert (
+        page.index("<h1>") < page.index("observer-fmus campaign") < page.index("<table>") < page.index("Over all runs")
+    )
+    assert "<td>estimating</td>" in page
+    browser.check(tmp_path / "report.html", 3)
 
 
 def test_long_runs_keep_a_bounded_number_of_rows_and_rate_all(system: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from commands.app import app
 from cosim.errors import ExperimentError
-from cosim.masters.comparison import MASTERS, differences, largest, record_all
+from cosim.masters.comparison import MASTERS, differences, differing, largest, record_all
 from systems import coupled, edited, written
 
 Build = Callable[[str], Path]
@@ -39,6 +39,11 @@ def test_a_difference_is_relative_to_the_columns_largest_value(a: list[float], b
 def test_a_column_that_a_tool_lacks_is_no_difference_but_named() -> None:
     found = differences({"v": np.ones(2), "w": np.ones(2)}, {"w": np.ones(2)})
     assert found == {"v": None, "w": 0.0} and largest(found) == 0.0
+
+
+def test_the_difference_at_each_time_is_infinite_where_one_value_is_not_finite() -> None:
+    a, b = np.array([2.0, np.nan, np.inf, -4.0, np.nan]), np.array([1.0, np.nan, 1.0, -4.0, 0.0])
+    np.testing.assert_array_equal(differing(a, b), [0.25, 0.0, np.inf, 0.0, np.inf])
 
 
 def compare(*arguments: object) -> Result:
@@ -67,6 +72,8 @@ def test_compare_prints_each_variable_and_writes_what_each_tool_recorded(built: 
         with (tmp_path / "out" / f"{tool}.csv").open() as file:
             rows = list(csv.reader(file))
         assert rows[0][:2] == ["time", "plant.y"] and len(rows) == 52
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<td>plant.y</td><td>0</td><td>0</td>" in page and "the limit is 1e-12" in page
 
 
 @pytest.mark.usefixtures("other_masters")

@@ -247,7 +247,7 @@ def test_the_sample_time_is_the_fmus_parameter_where_it_has_one(tmp_path: Path, 
         ),
         ("time,y,rate\n0,1,0\n", ("--set", "rate=1"), "input 'rate' is set and has the column 'rate'"),
         ("time,y,rate\n0,1,0\n", ("--map", "y=V2"), "there is no column 'V2'"),
-        ("time,y,rate\n0,1,0\n", ("--map", "Y=y"), "the FMU has no input 'Y' to map; did you mean 'y'"),
+        ("time,y,rate\n0,1,0\n", ("--map", "Y=y"), "there is no input 'Y' to map; did you mean 'y'"),
         ("time,y,rate\n0,1,0\n", ("--map", "y"), "--map y: not of the form INPUT=COLUMN"),
         (
             "time,y,rate\n0,1,0\n",
