@@ -19,12 +19,29 @@ from cosim.results import Result
 from cosim.system import Element, System, write_ssp
 from fmu_src import export
 from observers.pseudospectral import pseudospectral
-from once import compiled_once, once
+from once import compiled_once, once, plotted_briefly
 from reference_models.duffing import DUFFING
 from slave import Slave
-from tools import imports, need
+from tools import TESTS, imports, need
 
 Paths = Callable[[str], Path]
+# What takes minutes, most first: begun last it would keep one processor busy and leave the others idle. One process runs it in this
+# order, while the others take the rest from the end, so that what these files make for all their tests is made once.
+LONGEST = (
+    "fuzz/test_fuzz.py",
+    "fmu_src/native/test_emulated.py",
+    "fmu_src/native/test_other_targets.py",
+    "fmu_src/native/test_time.py",
+    "fmu_src/native/test_catalogue_sources.py",
+    "fmu_src/python/test_python_target.py",
+    "test_catalogue.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first."""
+    place = {TESTS / name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path, len(LONGEST)))
 
 
 @pytest.fixture(scope="session")
@@ -94,7 +111,7 @@ def catalogue_fmu(shared: Path) -> Paths:
     """
 
     def fill(name: str, folder: Path) -> None:
-        with compiled_once(optimised=False):
+        with compiled_once(optimised=False), plotted_briefly():
             build_all(Build(fmus={name: FMUS[name]}), folder, ["host"])
 
     def fmu(name: str) -> Path:

@@ -18,6 +18,7 @@ from fmu_src.native import compiler
 from tools import ROOT
 
 LIBRARIES = ROOT / ".cache" / "tests"
+PLOTTED = 20  # steps
 
 
 def once(folder: Path, fill: Callable[[Path], object]) -> Path:
@@ -57,4 +58,15 @@ def compiled_once(optimised: bool = True) -> Iterator[None]:
         patch.setattr(compiler, "FLAGS", flags)
         for module in ("fmu_src.export", "fmu_src.plant.guest"):
             patch.setattr(importlib.import_module(module), "compile_library", compile_library)
+        yield
+
+
+@contextmanager
+def plotted_briefly() -> Iterator[None]:
+    """Exports within it plot the first steps only of the default experiment, 600 of which take the Python face up to 20 s.
+
+    The reference results keep their steps. Of a plot in full: test_native.py and test_experiment.py.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fmu_src.documentation.figures.MOST_STEPS", PLOTTED)
         yield

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
+import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import (
@@ -17,6 +18,8 @@ from fmpy.fmi2 import (
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
 )
+
+HEADER = 144  # bytes of a serialised state in front of the component's: Header in shell/state.c
 
 
 class Slave:
@@ -100,3 +103,7 @@ class Slave:
         content = bytes(self.fmu.serializeFMUState(handle))
         self.fmu.freeFMUState(handle)
         return content
+
+    def z(self, n: int) -> np.ndarray:
+        """The component's own state (n)."""
+        return np.frombuffer(self.state(), count=n, offset=HEADER)

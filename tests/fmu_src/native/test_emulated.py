@@ -6,7 +6,7 @@ import os
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +14,11 @@ import fmpy
 import numpy as np
 import pytest
 
-from build_fmus import SYSTEMS, build_all, choose
-from cosim.master import run
+from build_fmus import SYSTEMS
 from cosim.results import Result
 from fmu_src.compliance.files.binaries import functions
 from fmu_src.native import compiler as native
+from once import once
 from slave import Slave
 from tools import ARM_ROOT, QEMU, WINE, need
 
@@ -47,6 +47,7 @@ MAGNIFYING, MAGNIFIED = ("diagnostics.deviation", "diagnostics.std."), 1e-9
 CONDITIONED = "tuning.conditioning_limit"  # of the observers that have such a matrix
 ROUNDING = 1e-16  # a variable that is never larger, such as a violation of constraints that all hold, consists of rounding errors
 Answers = list[list[str]]
+Example = Callable[..., Result]
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ def _arm(folder: Path) -> Machine:
     return Machine("aarch64-linux", ".so", (str(QEMU), "-L", str(ARM_ROOT), program), {})
 
 
+Unpacked = Callable[[Machine, str], Path]
 MACHINES = {"win64": _windows, "aarch64-linux": _arm}
 
 
@@ -107,17 +109,20 @@ def machine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 @pytest.fixture(scope="session")
-def built_for_all(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the systems of KINDS; their FMUs hold the binaries of this machine and of MACHINES."""
-    folder = tmp_path_factory.mktemp("emulated")
-    build_all(choose(KINDS), folder / "fmus", ["host", *MACHINES])
-    return folder
+def unpacked_for(catalogue_fmu: Callable[[str], Path], shared: Path) -> Unpacked:
+    """The folder of the catalogue's FMU called `name`, with the library for that machine, of the same sources, beside this one's."""
 
+    def unpacked(machine: Machine, name: str) -> Path:
+        def fill(folder: Path) -> None:
+            fmpy.extract(str(catalogue_fmu(name)), str(folder))
+            identifier = fmpy.read_model_description(str(folder)).coSimulation.modelIdentifier
+            library = folder / "binaries" / machine.platform / f"{identifier}{machine.suffix}"
+            library.parent.mkdir()
+            library.write_bytes(native.compile_library(identifier, folder / "sources", machine.platform))
 
-@pytest.fixture(scope="session")
-def records(built_for_all: Path) -> dict[str, Result]:
-    """What the master records of the systems with this machine's binaries."""
-    return {name: run(built_for_all / "systems" / f"{name}.ssp") for name in KINDS}
+        return once(shared / "emulated" / machine.platform / name, fill)
+
+    return unpacked
 
 
 def kind(fmu: Path) -> frozenset[str]:
@@ -143,12 +148,12 @@ def bits(value: float) -> str:
 class Element:
     """An element of a recorded system: the calls that repeat what the master did with it, and the numbers of then."""
 
-    def __init__(self, machine: Machine, fmus: Path, system: str, name: str, result: Result, folder: Path):
+    def __init__(self, machine: Machine, unpacked: Unpacked, system: str, name: str, result: Result):
         recipe = SYSTEMS[system]
-        self.folder = Path(fmpy.extract(str(fmus / "fmus" / f"{recipe.fmus[name]}.fmu"), str(folder)))
-        description = fmpy.read_model_description(str(self.folder))
+        folder = unpacked(machine, recipe.fmus[name])
+        description = fmpy.read_model_description(str(folder))
         identifier = description.coSimulation.modelIdentifier
-        self.library = self.folder / "binaries" / machine.platform / f"{identifier}{machine.suffix}"
+        self.library = folder / "binaries" / machine.platform / f"{identifier}{machine.suffix}"
         self.variables = {v.name: v for v in description.modelVariables}
         self.step = recipe.step
         self.steps = len(result.time) - 1
@@ -213,9 +218,9 @@ def values(answers: Answers) -> Answers:
 @pytest.mark.parametrize("name", ["plant", "observer"])
 @pytest.mark.parametrize("system", KINDS)
 def test_every_kind_of_observer_and_its_plant_give_linux64s_numbers_and_resume_from_a_file_bit_by_bit(
-    system: str, name: str, built_for_all: Path, records: dict[str, Result], machine: Machine, tmp_path: Path
+    system: str, name: str, unpacked_for: Unpacked, example: Example, machine: Machine, tmp_path: Path
 ) -> None:
-    element = Element(machine, built_for_all, system, name, records[system], tmp_path / "fmu")
+    element = Element(machine, unpacked_for, system, name, example(system))
     half = element.steps // 2
     first = machine.calls(
         element.library,
@@ -250,9 +255,8 @@ def test_every_kind_of_observer_and_its_plant_give_linux64s_numbers_and_resume_f
     assert again[second_half:] == whole[: 4 * per_point]
 
 
-def test_all_functions_of_the_standard_are_exported(built_for_all: Path, machine: Machine, tmp_path: Path) -> None:
-    folder = Path(fmpy.extract(str(built_for_all / "fmus" / "duffing.fmu"), str(tmp_path)))
-    library = folder / "binaries" / machine.platform / f"duffing{machine.suffix}"
+def test_all_functions_of_the_standard_are_exported(unpacked_for: Unpacked, machine: Machine, tmp_path: Path) -> None:
+    library = unpacked_for(machine, "duffing") / "binaries" / machine.platform / f"duffing{machine.suffix}"
     names = sorted(functions("CoSimulation"))
     answers = machine.calls(
         library, [f"exported {name}" for name in [*names, "duffing_component", "duffing_flow"]], tmp_path
@@ -260,18 +264,11 @@ def test_all_functions_of_the_standard_are_exported(built_for_all: Path, machine
     assert answers == [["exported", "1"]] * len(names) + [["exported", "0"]] * 2
 
 
-@pytest.fixture
-def linux(built_for_all: Path, tmp_path: Path) -> Iterator[Slave]:
-    """The plant's binary for this machine, through fmpy."""
-    made = Slave(Path(fmpy.extract(str(built_for_all / "fmus" / "duffing.fmu"), str(tmp_path / "linux"))))
-    yield made
-    made.fmu.freeInstance()
-
-
 def test_input_derivatives_act_as_on_linux64(
-    built_for_all: Path, records: dict[str, Result], machine: Machine, linux: Slave, tmp_path: Path
+    unpacked_for: Unpacked, example: Example, machine: Machine, catalogue_slave: Callable[..., Slave], tmp_path: Path
 ) -> None:
-    element = Element(machine, built_for_all, KINDS[0], "plant", records[KINDS[0]], tmp_path / "fmu")
+    linux, recorded = catalogue_slave("duffing"), example(KINDS[0])
+    element = Element(machine, unpacked_for, KINDS[0], "plant", recorded)
     reference = {name: element.variables[name].valueReference for name in ("u", "x.x1", "x.x2")}
     linux.initialize(SYSTEMS[KINDS[0]].parameters["plant"], stop=30.0)
     calls, expected = [*element.instantiate(), *element.initialise()], []
@@ -284,13 +281,13 @@ def test_input_derivatives_act_as_on_linux64(
     answers = [line for line in machine.calls(element.library, [*calls, "free"], tmp_path) if len(line) == 3]
     found = [[number("real", text) for text in line[1:]] for line in answers if line[0] == "real"]
     np.testing.assert_allclose(found, expected, rtol=TOLERANCE)
-    assert abs(expected[-1][0] - records[KINDS[0]]["plant.x.x1"][20]) > 0.01  # the derivatives do act
+    assert abs(expected[-1][0] - recorded["plant.x.x1"][20]) > 0.01  # the derivatives do act
 
 
 def test_a_refused_call_is_an_error_with_a_message_and_not_a_crash(
-    built_for_all: Path, records: dict[str, Result], machine: Machine, tmp_path: Path
+    unpacked_for: Unpacked, example: Example, machine: Machine, tmp_path: Path
 ) -> None:
-    element = Element(machine, built_for_all, KINDS[0], "observer", records[KINDS[0]], tmp_path / "fmu")
+    element = Element(machine, unpacked_for, KINDS[0], "observer", example(KINDS[0]))
     wrong = machine.calls(element.library, ["instantiate observer {wrong}"], tmp_path, status=1)
     assert wrong[0][:4] == ["log", "observer", "3", "logStatusError"] and wrong[-1] == ["failed", "instantiate", "3"]
     ready = [*element.instantiate(), *element.initialise(), *element.steps_from(0, 3)]

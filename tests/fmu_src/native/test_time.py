@@ -27,11 +27,12 @@ KINDS = {
 }
 
 
-def started(slave: Make, kind: str, t0: float, h: float) -> Slave:
+def started(slave: Make, kind: str, t0: float, h: float, jump: float = 12.345) -> Slave:
+    """An instance at t0; a plant with a jump makes it `jump` steps later."""
     name, _, sample_time = KINDS[kind]
     values = {} if kind in ("observer", "clean plant") else dict(NOISE)
     if kind == "plant with a jump":
-        values |= {"parameter.theta_jump_time[1]": t0 + 12.345 * h, "parameter.theta_jump_value[1]": 1.5}
+        values |= {"parameter.theta_jump_time[1]": t0 + jump * h, "parameter.theta_jump_value[1]": 1.5}
     if sample_time:
         values[sample_time] = h
     return slave(name).initialize(values, t0=t0)
@@ -53,13 +54,19 @@ def comparable(kind: str, way: str, t0: float, h: float) -> bool:
 
 
 def ends(
-    slave: Make, kind: str, t0: float, h: float, steps: int, seen: Callable[[Slave], object] = position
+    slave: Make,
+    kind: str,
+    t0: float,
+    h: float,
+    steps: int,
+    seen: Callable[[Slave], object] = position,
+    jump: float = 12.345,
 ) -> dict[str, object]:
     """What is `seen` after so many steps, by each way of making their times."""
     found: dict[str, object] = {}
     for way in WAYS:
         if comparable(kind, way, t0, h):
-            fmu = started(slave, kind, t0, h)
+            fmu = started(slave, kind, t0, h, jump)
             drive(fmu, KINDS[kind][1], t0, h, 0, steps, way, t0)
             found[way] = seen(fmu)
     assert len(found) >= 4
@@ -78,10 +85,11 @@ def test_however_times_are_made_the_run_is_the_same(slave: Make, kind: str, h: f
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["observer", "plant with a jump", "clean plant"])
 @pytest.mark.parametrize(("h", "t0"), [(1e-3, 86400.0), (1 / 60, 0.0), (1e-3, 1.7e9)])
 def test_however_times_are_made_a_million_steps_are_the_same(slave: Make, kind: str, h: float, t0: float) -> None:
-    found = ends(slave, kind, t0, h, 1_000_000)
+    """The plant with a jump has noise too, and jumps twelve steps before the end."""
+    found = ends(slave, kind, t0, h, 1_000_000, jump=999_987.345)
     assert {way for way, end in found.items() if end != found["multiplied"]} == set()
 
 
