@@ -36,6 +36,8 @@ LONGEST = (
     "fmu_src/python/test_python_target.py",
     "test_catalogue.py",
 )
+# Of the catalogue, what the tests that run in CI only run for so long that optimising it saves time.
+LONG_RUNS = ("duffing_known_pseudospectral_tube", "van_der_pol_signed_elementary")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -104,14 +106,15 @@ def _instances(unpacked: Paths) -> Iterator[Callable[..., Slave]]:
 
 @pytest.fixture(scope="session")
 def catalogue_fmu(shared: Path) -> Paths:
-    """The path of the catalogue's FMU called `name`, built at the first call, without CI not optimised.
+    """The path of the catalogue's FMU called `name`, built at the first call, not optimised but for LONG_RUNS in CI.
 
-    What optimisation could change is asked of the FMUs that `built` gives: the C of the shell is the same, and that of the
-    models, long lines of arithmetic, differs in the last bits at most.
+    What optimisation could change is asked of the FMUs that `built` gives, whose shell is the same, and, of each kind of model, by
+    test_emulated.py, whose optimised libraries must give the numbers of these, and by test_catalogue_sources.py.
     """
 
     def fill(name: str, folder: Path) -> None:
-        with compiled_once(optimised=False), plotted_briefly():
+        optimised = name in LONG_RUNS and "CI" in os.environ
+        with compiled_once(optimised), plotted_briefly():
             build_all(Build(fmus={name: FMUS[name]}), folder, ["host"])
 
     def fmu(name: str) -> Path:

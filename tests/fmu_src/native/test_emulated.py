@@ -46,6 +46,9 @@ TOLERANCES = {"gong_example_4_tube": 1e-9}
 MAGNIFYING, MAGNIFIED = ("diagnostics.deviation", "diagnostics.std."), 1e-9
 CONDITIONED = "tuning.conditioning_limit"  # of the observers that have such a matrix
 ROUNDING = 1e-16  # a variable that is never larger, such as a violation of constraints that all hold, consists of rounding errors
+# One line of arithmetic after the other, as the other kinds' C, but so many that a compiler takes minutes to optimise it for a platform.
+LONG_IN_C = ("motor_canonical_dae_regional",)
+NOT_OPTIMISED = ("-O0",)  # after the -O2: the last counts
 Answers = list[list[str]]
 Example = Callable[..., Result]
 
@@ -118,7 +121,8 @@ def unpacked_for(catalogue_fmu: Callable[[str], Path], shared: Path) -> Unpacked
             identifier = fmpy.read_model_description(str(folder)).coSimulation.modelIdentifier
             library = folder / "binaries" / machine.platform / f"{identifier}{machine.suffix}"
             library.parent.mkdir()
-            library.write_bytes(native.compile_library(identifier, folder / "sources", machine.platform))
+            flags = NOT_OPTIMISED if name in LONG_IN_C else ()
+            library.write_bytes(native.compile_library(identifier, folder / "sources", machine.platform, flags=flags))
 
         return once(shared / "emulated" / machine.platform / name, fill)
 

@@ -27,6 +27,7 @@ from fmu_src.python import target
 from fmu_src.python.target import CAPABILITIES
 from observers.instance import Instance
 from observers.model import Model, Variable
+from once import plotted_briefly
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
@@ -43,6 +44,8 @@ from test_shell import *  # noqa: F403  its tests run here once more, on the FMU
 from test_shell import CASES, grid
 from tools import ROOT
 
+counted = test_what_a_step_takes_is_counted_from_where_the_run_is  # noqa: F405
+del test_what_a_step_takes_is_counted_from_where_the_run_is  # noqa: F821
 # A PythonFMU's memory is Python's, as its model description says: the importer's callbacks serve nothing.
 del test_memory_that_is_refused_is_an_answer  # noqa: F821
 
@@ -228,6 +231,11 @@ def test_unknown_targets_and_platforms_are_named(tmp_path: Path) -> None:
         export(component, tmp_path, ["darwin64"], target="python")
 
 
+@pytest.mark.long  # a million samples
+def test_what_a_step_takes_is_counted_from_where_the_run_is_in_python_too(slave: Callable[..., Slave]) -> None:
+    counted(slave)
+
+
 @pytest.mark.parametrize(
     "compiled",
     [
@@ -264,24 +272,28 @@ def is_noisy(name: str) -> bool:
     return any(values.get("sensor.noise_bound", 0.0) > 0 for values in SYSTEMS[name].parameters.values())
 
 
-def largest_difference(native: Path, python: Path) -> float:
-    """Of any variable at any time, relative to the variable's largest value or 1."""
-    results = [run_system(path) for path in (native, python)]
+def largest_difference(native: Path, python: Path, stop: float | None = None) -> float:
+    """Of any variable at any time, to the system's stop time or `stop`, relative to the variable's largest value or 1."""
+    results = [run_system(path, stop=stop) for path in (native, python)]
     assert results[0].names == results[1].names
     scale = np.maximum(1, np.nanmax(np.abs(results[0].values), axis=0))
     return float(np.nanmax(np.abs(results[0].values - results[1].values) / scale))
 
 
-@pytest.mark.parametrize("name", ["gong_example_2", "closed_loop_motor"])
-def test_a_system_of_python_fmus_gives_the_native_numbers(name: str, catalogue_system: Path_of, tmp_path: Path) -> None:
-    build_all(choose([name]), tmp_path / "fmus", ["host"], target="python")
+@pytest.mark.parametrize(("name", "stop"), [("gong_example_2", 30.0), ("closed_loop_motor", 1.0)])
+def test_a_system_of_python_fmus_gives_the_native_numbers(
+    name: str, stop: float, catalogue_system: Path_of, tmp_path: Path
+) -> None:
+    with plotted_briefly():
+        build_all(choose([name]), tmp_path / "fmus", ["host"], target="python")
     python = tmp_path / "systems" / f"{name}.ssp"
-    assert largest_difference(catalogue_system(name), python) < (1e-9 if is_noisy(name) else 1e-12)
+    assert largest_difference(catalogue_system(name), python, stop) < (1e-9 if is_noisy(name) else 1e-12)
 
 
 @pytest.mark.long
 def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue_system: Path_of, tmp_path: Path) -> None:
-    build_all(choose([]), tmp_path / "fmus", ["host"], target="python")
+    with plotted_briefly():
+        build_all(choose([]), tmp_path / "fmus", ["host"], target="python")
     differences = {
         name: largest_difference(catalogue_system(name), tmp_path / "systems" / f"{name}.ssp") for name in SYSTEMS
     }

@@ -20,6 +20,7 @@ from observers.canonical_dae import canonical_dae
 from observers.component import Component
 from observers.model import Model, ModelError, Variable
 from observers.status import CODE
+from once import compiled_once, plotted_briefly
 from reference_models.double_integrator import DOUBLE_INTEGRATOR
 from reference_models.motor import MOTOR
 from reference_models.plant import plant
@@ -86,7 +87,8 @@ def fmu(folder: Path) -> Iterator[Callable[..., Slave]]:
     def make(component: Component) -> Slave:
         unpacked = folder / component.name
         if not unpacked.exists():
-            path = export(component, folder)
+            with compiled_once(optimised=False), plotted_briefly():
+                path = export(component, folder)
             assert fmpy.validation.validate_fmu(str(path)) == []
             fmpy.extract(str(path), str(unpacked))
         made.append(Slave(unpacked))
@@ -109,7 +111,7 @@ def follow(slave: Slave, Ts: float, count: int, inputs: Callable[[float], dict[s
     return rows
 
 
-@pytest.mark.long  # its gain takes the compiler minutes
+@pytest.mark.long
 def test_regional_placement_meets_the_reference_by_backward_differentiation_of_order_3_at_10_ms(fmu):
     component = canonical_dae(
         SMOOTHLY_DRIVEN,
@@ -188,11 +190,9 @@ def test_a_voltage_that_follows_the_current_at_once_reaches_the_observer_a_step_
     """FMI 2.0 has no legal call that reads an output between an input and the step, of an FMU with a state."""
     observer = canonical_dae(CELL, sample_time=1.0, poles=[-0.05, -0.05], guess={"charge": 0.5}, name="cell_observer")
     drive = {"amplitude": 4.0, "frequency": 0.2, "offset": 1.0}
-    elements = {
-        "source": Element(export(sine(), folder), drive),
-        "plant": Element(export(plant(CELL), folder)),
-        "observer": Element(export(observer, folder)),
-    }
+    with compiled_once(optimised=False), plotted_briefly():
+        source, driven, estimating = (export(component, folder) for component in (sine(), plant(CELL), observer))
+    elements = {"source": Element(source, drive), "plant": Element(driven), "observer": Element(estimating)}
     connections = [
         ("source.y", "plant.current"),
         ("source.y", "observer.current"),
