@@ -13,7 +13,7 @@ from tools import need
 
 pytestmark = pytest.mark.long
 
-SECONDS = 12  # for each kind: 84 s in all, and more than 2 million calls where half a processor is free
+SECONDS = 12  # for each kind: 96 s in all
 CALLS = 1_000_000  # of all kinds together
 
 
