@@ -100,10 +100,10 @@ def cases() -> list[Case]:
     duffing = Case("UKF, Duffing", DUFFING, ukf, DUFFING_SAMPLE_TIME, defines)
     fourth = Case("UKF of order 4, Duffing", DUFFING, partial(ukf, order=4), DUFFING_SAMPLE_TIME, defines)
     return [
-        *(case("Riccati", n, riccati) for n in SIZES),
+        *(case("Riccati", n, partial(riccati, order=4)) for n in SIZES),
         duffing,
         fourth,
-        *(case("UKF", n, ukf, "UNSCENTED") for n in SIZES),
+        *(case("UKF", n, partial(ukf, order=4), "UNSCENTED") for n in SIZES),
     ]
 
 

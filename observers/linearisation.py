@@ -17,7 +17,6 @@ from observers.numerics.semilinear import split, unreachable
 MOST_SUBSTEPS = 256  # of the longest step, for the sake of a bound
 # Error of a step of the prediction, in units of a state's largest value or of its nominal value; the next sample corrects it.
 PREDICTED = 1e-4
-FINE = 1e-9  # the same where a method of lower order is to be as good as one of higher order
 TABLEAUX = {tableau.order: tableau for tableau in (CLASSICAL_4, DORMAND_PRINCE_8)}
 
 
@@ -119,31 +118,16 @@ def prediction_step(
     return _step(_modes(model), free_motion(model, longest), longest, tableau, tolerance)
 
 
-def chosen_step(
-    model: Model, moving: FreeMotion | None, sample_time: float, longest: float, order: int | None
-) -> tuple[Tableau, float]:
-    """The method of the prediction, and its longest step [s], at most `longest`, along the model's motion `moving`.
-
-    `order`: 4 or 8, with an error of PREDICTED a step; None: 4 where that takes no more evaluations of the model a sample, at an error of
-    FINE a step, which leaves a filter's accuracy as it is; else 8. Looked at are the motion and, for a model that starts at rest, the
-    fastest mode around the start values. A model that has none, such as one whose parameters are 0 until they are set, gets order 8.
+def chosen_step(model: Model, moving: FreeMotion | None, longest: float, order: int) -> tuple[Tableau, float]:
+    """The method of the prediction, of this order (4 or 8), and its longest step [s], at most `longest`, with an error of PREDICTED along
+    the model's motion `moving`.
 
     Raises:
         ValueError: another order.
     """
-    modes = _modes(model)
-    if order is not None:
-        if order not in TABLEAUX:
-            raise ValueError(f"order = {order!r} must be 4, 8 or None")
-        return TABLEAUX[order], _step(modes, moving, longest, TABLEAUX[order], PREDICTED)
-    found = [(DORMAND_PRINCE_8, _step(modes, moving, longest, DORMAND_PRINCE_8, PREDICTED))]
-    rate = max((mode.rate for mode in modes if not mode.bound), default=0.0)
-    if moving is not None and rate > 0:
-        step = _step(modes, moving, min(longest, sample_time), CLASSICAL_4, FINE)
-        while (step * rate) ** 5 / 120 > FINE:  # what order 4 leaves of exp(step rate)
-            step /= 2
-        found.append((CLASSICAL_4, step))
-    return min(found, key=lambda made: math.ceil(sample_time / made[1] - 1e-6) * len(made[0].b))
+    if order not in TABLEAUX:
+        raise ValueError(f"order = {order!r} must be 4 or 8")
+    return TABLEAUX[order], _step(_modes(model), moving, longest, TABLEAUX[order], PREDICTED)
 
 
 def fastest_rate(model: Model) -> float:

@@ -35,7 +35,6 @@ FMUS: dict[str, Source] = {
             Q0=1.0,
             guess={"x1": 0.0, "x2": 0.0, "x3": 0.0},
             expose=["Q"],
-            order=8,  # the estimate does not depend on how a sample is cut into steps, to rounding
             stop_time=20.0,
         ),
         bilinear,
@@ -49,7 +48,6 @@ FMUS: dict[str, Source] = {
             Q0=0.01,
             guess={"x1": 0.0, "x2": 0.0},
             expose=["Q"],
-            order=8,  # the estimate does not depend on how a sample is cut into steps, to rounding
         ),
         sine_output,
     ),
