@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from observers.pseudospectral import pseudospectral
 from observers.status import CODE
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
-from tools import need
 
 
 def largest(result: Result, first: int) -> np.ndarray:
@@ -152,12 +150,3 @@ def _(runs: Runs) -> Any:
 @said(GONG, "(20) bounds the residual", "{} against {}", rel=0.1)
 def _(runs: Runs) -> Any:
     return [runs.example("gong_example_1")["observer.diagnostics.node0_residual"][9:].max(), 14**-0.5]
-
-
-# Of the time as the master sees it, on a machine that does other things too; without optimisation it is another factor.
-@said(GONG, "Problem 3 makes an iteration 1.4 times as long", "{} times", rel=0.4, long=True)
-def _(runs: Runs) -> Any:
-    need("CI" in os.environ, "FMUs are optimised in CI only")
-    results = (run(runs.system(f"gong_example_4_{which}")) for which in ("tube", "plain"))
-    tube, plain = (np.mean(result.step_ns["observer"][50:]) for result in results)
-    return [tube / plain]

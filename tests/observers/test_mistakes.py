@@ -201,7 +201,7 @@ def test_sizes_that_would_build_for_hours_are_refused_with_what_to_take_instead(
         ode=lambda x, u, p, t: [u.torque - getattr(x, f"x{i}") for i in range(200)],
         output=lambda x, u, p, t: [x.x0],
     )
-    with pytest.raises(ModelError, match=r"has 200 states .* more than 50 .* take riccati"):
+    with pytest.raises(ModelError, match=r"has 200 states .* more than 100 .* take riccati"):
         ukf(many, sample_time=0.1)
     with pytest.raises(ValueError, match=r"N = 500 is more than 200, .* or several segments of it"):
         pseudospectral(pendulum(), sample_time=0.05, N=500, L=20)
