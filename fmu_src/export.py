@@ -97,9 +97,8 @@ def _native(component: Component, platforms: Sequence[str], guest: Guest | None)
             (Path(scratch) / name).write_bytes(content)
         for folder in folders:
             library = f"{component.name}{PLATFORMS[folder].suffix}"
-            contents[f"binaries/{folder}/{library}"] = compile_library(
-                component.name, Path(scratch), folder, *((libraries(folder),) if guest else ())
-            )
+            linked = libraries(folder) if guest else ("-lm",)
+            contents[f"binaries/{folder}/{library}"] = compile_library(component.name, Path(scratch), folder, linked)
     return guid, contents
 
 

@@ -137,12 +137,11 @@ def fastest_rate(model: Model) -> float:
 
 @dataclass(frozen=True)
 class _Mode:
-    """The largest |eigenvalue| of a Jacobian [1/s] and its norm; whether it is that of a point `around` the start values, on a `bound`."""
+    """The largest |eigenvalue| of a Jacobian [1/s] and its norm; whether it is that of a point `around` the start values."""
 
     rate: float
     norm: float
     around: bool
-    bound: bool
 
 
 def _step(modes: list[_Mode], moving: FreeMotion | None, longest: float, tableau: Tableau, tolerance: float) -> float:
@@ -159,21 +158,21 @@ def _modes(model: Model, bounds: bool = True) -> list[_Mode]:
     """
     eq = model.equations
     constant = split(eq.ode, eq.x, ca.vertcat(eq.u, eq.w)).A
-    found = [(constant, False, False)]
+    found = [(constant, False)]
     if not model.algebraic:
         jacobian = ca.Function("jacobian", [eq.x, eq.u, eq.w, eq.p, eq.theta, eq.t], [ca.jacobian(eq.ode, eq.x)])
         groups = (model.inputs, model.unknown_disturbances, model.parameters, model.unknown_parameters)
         others = [np.array([v.start for v in group]) for group in groups]
         start = np.array([v.start for v in model.states])
-        found.append((jacobian(start, *others, 0.0).full(), False, False))
+        found.append((jacobian(start, *others, 0.0).full(), False))
         for i, v in enumerate(model.states):
             for value in (*((v.min, v.max) if bounds else ()), v.start - v.nominal, v.start + v.nominal):
                 if v.min <= value <= v.max and math.isfinite(value):
                     point = np.where(np.arange(len(start)) == i, value, start)
-                    found.append((jacobian(point, *others, 0.0).full(), True, value in (v.min, v.max)))
+                    found.append((jacobian(point, *others, 0.0).full(), True))
     return [
-        _Mode(float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)), float(np.linalg.norm(A)), *where)
-        for A, *where in found
+        _Mode(float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)), float(np.linalg.norm(A)), around)
+        for A, around in found
         if np.all(np.isfinite(A))
     ]
 

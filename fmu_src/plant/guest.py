@@ -17,8 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import casadi as ca
-
 from fmu_src.errors import ExportError, PlantError
 from fmu_src.native.compiler import compile_library
 from fmu_src.native.sources import fixed_sources
@@ -28,7 +26,7 @@ from fmu_src.plant.sources import interpreter, plant_sources, plant_tables
 from fmu_src.platforms import PLATFORMS, resolve
 from observers.component import Component
 
-_NAME = re.compile(r"\b(fwd1_)?(plant_[0-9a-f]{16})_(rate|measure)\b")
+_NAME = re.compile(r"(plant_[0-9a-f]{16})_(?:rate|measure)")
 _LICENSES = "documentation/licenses/"
 _PREFIX_H = """\
 #ifndef PREFIX_H
@@ -168,11 +166,8 @@ def guest_of(component: Component) -> Guest | None:
     Raises:
         ExportError: they call several.
     """
-    names: set[str] = set()
-    for function in component.functions.values() if _known else ():
-        generator = ca.CodeGenerator(function.name())  # expressions of scalars do not tell which functions they call
-        generator.add(function)
-        names |= {match[1] for match in _NAME.findall(generator.dump())}
+    called = {inner.name() for function in component.functions.values() for inner in function.find_functions()}
+    names = {match[1] for match in map(_NAME.fullmatch, called) if match}
     if len(names) > 1:
         files = ", ".join(sorted(_known[name].plant.file for name in names))
         raise ExportError(f"component '{component.name}' asks several plants ({files}): take one")

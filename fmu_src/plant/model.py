@@ -128,14 +128,12 @@ class _Named:
     def __init__(self, where: str, attributes: dict[str, Mapping[str, Any]]):
         self.where = where
         self.attributes = attributes
-        self.used: set[str] = set()
         self.taken: dict[str, str] = {}
 
     def variable(self, v: Scalar, start: float, size: float, is_output: bool = False) -> Variable:
         name = identifier(v.name)
         if self.taken.setdefault(name, v.name) != v.name:
             raise PlantError(f"{self.where}: '{self.taken[name]}' and '{v.name}' would both be called '{name}'")
-        self.used.add(v.name)
         given = self.attributes.get(v.name, {})
         said: dict[str, Any] = {
             "description": v.description or v.name,
@@ -150,10 +148,11 @@ class _Named:
         return Variable(name, **(said | {k: given[k] for k in ("start", "wrap") if k in given}))
 
     def finish(self) -> None:
+        used = sorted(self.taken.values())
         for name in self.attributes:
-            if name not in self.used:
+            if name not in used:
                 raise PlantError(
-                    f"{self.where}: attributes of '{name}', which is no state and not chosen; there are {', '.join(sorted(self.used))}"
+                    f"{self.where}: attributes of '{name}', which is no state and not chosen; there are {', '.join(used)}"
                 )
 
 
