@@ -55,7 +55,7 @@ def compiled_once(optimised: bool = True) -> Iterator[None]:
         flags = tuple("-O0" if flag == "-O2" else flag for flag in flags)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "FLAGS", flags)
-        for module in ("fmu_src.export", "fmu_src.plant.guest"):
+        for module in ("fmu_src.component_fmu", "fmu_src.plant.guest"):
             patch.setattr(importlib.import_module(module), "compile_library", compile_library)
         yield
 

@@ -6,12 +6,7 @@ import io
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
 
 from fmu_src.documentation.experiment import default_experiment
 from observers.component import Component
@@ -62,6 +57,11 @@ def _six_digits(series: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def plot(times: np.ndarray, rows: list[Panel]) -> str:
     """The panels one below the other, as an SVG element to stand in an HTML page."""
+    # Loaded where something is drawn: matplotlib takes longer to load than most commands take.
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(8, 0.6 + 1.6 * len(rows)), layout="constrained")
         for axes, panel in zip(np.atleast_1d(figure.subplots(len(rows), sharex=True)), rows, strict=True):
@@ -80,6 +80,11 @@ def plot(times: np.ndarray, rows: list[Panel]) -> str:
 
 def icon(name: str) -> bytes:
     """A block with the component's name, as PNG."""
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import FancyBboxPatch
+
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(1.28, 1.28), dpi=100)
         figure.add_artist(

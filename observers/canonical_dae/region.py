@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.stats import qmc
 
 from observers.model import Model, ModelError, Variable
 from observers.numerics.rank import kernel, unobservable
@@ -74,6 +73,8 @@ def region(model: Model) -> Region:
     Raises:
         ModelError: no point is left.
     """
+    from scipy.stats import qmc  # which takes a second to load, and nothing else here wants
+
     states = (*model.states, *model.unknown_parameters)
     box = np.array([_range(v) for v in (*states, *model.inputs)])
     # The sequence's first point is the corner; it is left out.

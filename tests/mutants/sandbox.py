@@ -149,8 +149,8 @@ def _compile_shell() -> int:
     import tempfile
 
     sys.path.insert(1, "tests")
+    from fmu_src.component_fmu import _native
     from fmu_src.errors import ExportError
-    from fmu_src.export import _native
     from toys import sampled_toy
 
     with tempfile.TemporaryDirectory():
