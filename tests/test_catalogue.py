@@ -11,16 +11,17 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from build_fmus import FMUS
-from tools import ROOT
+from tools import ROOT, few
 
 
-@pytest.mark.parametrize("name", FMUS)
+@pytest.mark.parametrize("name", few(FMUS, 3))
 def test_fmpy_finds_nothing_wrong(catalogue_fmu: Callable[[str], Path], name: str) -> None:
     assert validate_fmu(str(catalogue_fmu(name))) == []
 
 
-def test_every_fmu_is_sound(catalogue_fmu: Callable[[str], Path]) -> None:
-    command = [sys.executable, "-m", "commands", "check", *(str(catalogue_fmu(name)) for name in FMUS)]
+@pytest.mark.parametrize("names", few([tuple(FMUS)[:3], tuple(FMUS)]), ids=len)
+def test_every_fmu_is_sound(catalogue_fmu: Callable[[str], Path], names: tuple[str, ...]) -> None:
+    command = [sys.executable, "-m", "commands", "check", *(str(catalogue_fmu(name)) for name in names)]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
-    assert len(result.stdout.splitlines()) == len(FMUS)
+    assert len(result.stdout.splitlines()) == len(names)

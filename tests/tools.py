@@ -6,9 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from _pytest.mark import ParameterSet
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
@@ -30,3 +33,20 @@ def need(found: bool, reason: str) -> None:
 def imports(package: str) -> bool:
     """Whether the package can be imported, in a process that it may end."""
     return subprocess.run([sys.executable, "-c", f"import {package}"], capture_output=True).returncode == 0
+
+
+def few(cases: Iterable[Any], count: int = 1) -> list[Any]:
+    """`cases` to parametrise a test with: the first `count` in every run, the others, which ask the same of more, where long tests run."""
+    marked = [
+        case if isinstance(case, ParameterSet) else pytest.param(*(case if isinstance(case, tuple) else (case,)))
+        for case in cases
+    ]
+    return [
+        *marked[:count],
+        *(pytest.param(*p.values, marks=[*p.marks, pytest.mark.long], id=p.id) for p in marked[count:]),
+    ]
+
+
+def examples(quick: int, whole: int) -> int:
+    """How many examples hypothesis makes: `quick` in every run, `whole` in CI."""
+    return whole if os.environ.get("CI") else quick

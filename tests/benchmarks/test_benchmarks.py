@@ -22,6 +22,7 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     return compare(unpack(fmu, folder / "unpacked"), build_driver(folder), rounds=1)
 
 
+@pytest.mark.long
 def test_ipopt_and_the_fmu_find_the_same_estimates(comparison: Comparison) -> None:
     assert comparison.difference.max() < 8e-8
 

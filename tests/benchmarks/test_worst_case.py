@@ -27,6 +27,7 @@ def test_an_iteration_limit_is_the_components_own_and_at_most_its_largest() -> N
     assert with_limit(plain, 1) == plain
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not callgrind.is_installed(), reason="valgrind counts the instructions")
 def test_the_command_prints_a_line_for_each_observer() -> None:
     command = [sys.executable, "-m", "benchmarks.worst_case", "--observer", "rlc_pseudospectral"]

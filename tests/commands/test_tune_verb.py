@@ -126,6 +126,7 @@ def test_ctrl_c_is_one_line_and_nothing_is_written(
     assert line == "error: stopped; nothing was written" and not out.exists()
 
 
+@pytest.mark.long
 def test_run_and_campaign_give_the_values_to_the_element_that_has_them(built: Build, tmp_path: Path) -> None:
     observer = built("duffing_missing_ukf")
     elements = {"plant": Element(built("duffing")), "observer": Element(observer)}

@@ -11,6 +11,7 @@ import pytest
 import gallery
 from observers.component import Component
 from observers.instance import Instance
+from tools import few
 
 NAMES = sorted(path.stem for path in Path(gallery.__file__).parent.glob("[a-z]*.py"))
 # The sensors' noise, for how long, and how far each estimate may be from the truth over the last quarter: a few times what is measured.
@@ -46,7 +47,7 @@ def source_of(module: object) -> Component:
     return source
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, 2))
 def test_a_model_of_the_gallery_finds_the_truth_and_is_trusted(name: str) -> None:
     module = import_module(f"gallery.{name}")
     model, step = module.MODEL, module.SAMPLE_TIME

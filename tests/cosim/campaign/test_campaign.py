@@ -109,6 +109,7 @@ def test_one_and_two_workers_and_a_dask_scheduler_give_the_same_table(
     assert (tmp_path / "cluster" / "runs.csv").read_bytes() == (whole / "runs.csv").read_bytes()
 
 
+@pytest.mark.long
 def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_process(
     system: Path, whole: Path, tmp_path: Path
 ) -> None:
@@ -134,6 +135,7 @@ def test_a_killed_campaign_goes_on_where_it_was_and_leaves_no_process(
     assert (tmp_path / "runs.csv").read_bytes() == (whole / "runs.csv").read_bytes()
 
 
+@pytest.mark.long
 def test_a_finished_campaign_does_not_run_again_and_more_runs_go_on_from_there(
     system: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

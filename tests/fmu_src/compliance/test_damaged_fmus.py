@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from broken_fmus import BINARY, Contents
 from fmu_src.compliance.check import check
 from fmu_src.compliance.finding import CannotCheck, Report
+from tools import examples
 
 MOST_MEMORY = 1 << 30
 VALUES = [
@@ -96,7 +97,7 @@ def damaged(content: bytes, changes: list[tuple[int, int, bytes]]) -> bytes:
 
 
 @given(data=st.data())
-@settings(QUICK, max_examples=150)
+@settings(QUICK, max_examples=examples(50, 150))
 def test_damaged_archives(sound: Contents, folder: Path, data: st.DataObject) -> None:
     whole = zipped({name: content for name, content in sound.items() if name != BINARY})
     content = damaged(whole, data.draw(damage(len(whole))))
@@ -104,7 +105,7 @@ def test_damaged_archives(sound: Contents, folder: Path, data: st.DataObject) ->
 
 
 @given(data=st.data())
-@settings(QUICK, max_examples=200)
+@settings(QUICK, max_examples=examples(50, 200))
 def test_descriptions_with_other_values(
     sound: Contents, sound_exchange: Contents, folder: Path, data: st.DataObject
 ) -> None:
@@ -149,7 +150,7 @@ def test_damaged_libraries(sound: Contents, folder: Path, data: st.DataObject) -
 
 @pytest.mark.parametrize("suffix", [".so", ".dll", ".dylib"])
 @given(content=st.binary(max_size=400))
-@settings(QUICK, max_examples=60)
+@settings(QUICK, max_examples=examples(10, 60))
 def test_bytes_that_begin_like_a_library(folder: Path, suffix: str, content: bytes) -> None:
     from fmu_src.compliance.files.libraries import read_library
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmu_src.compliance.files.names import check_names, is_structured
+from tools import examples
 
 PIECES = [
     "a",
@@ -47,7 +48,7 @@ def is_structured_by_fmpy(name: str) -> bool:
 
 
 @given(st.lists(st.sampled_from(PIECES), max_size=7).map("".join))
-@settings(deadline=None, derandomize=True, max_examples=300)
+@settings(deadline=None, derandomize=True, max_examples=examples(60, 300))
 def test_the_verdict_on_a_name_is_that_of_fmpy(name: str) -> None:
     assert is_structured(name) == is_structured_by_fmpy(name)
 

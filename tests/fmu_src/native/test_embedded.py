@@ -22,6 +22,7 @@ from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
 from test_sources import call, compiler, sources
+from tools import few
 from toys import double_toy, feedthrough_toy, sampled_toy
 
 Path_of = Callable[[str], Path]
@@ -63,7 +64,7 @@ def doubles(text: str) -> np.ndarray:
     return np.array([line.split() for line in text.splitlines()], float)
 
 
-@pytest.mark.parametrize("name", OBSERVERS)
+@pytest.mark.parametrize("name", few(OBSERVERS))
 def test_the_example_gives_the_fmus_outputs_bit_for_bit(name: str, unpacked: Path_of, tmp_path: Path) -> None:
     folder = unpacked(name)
     found = doubles(call([example(folder, tmp_path / "example")], tmp_path))
@@ -161,7 +162,7 @@ def write(component: Component, folder: Path) -> None:
         path.write_bytes(content)
 
 
-@pytest.mark.parametrize("name", ["start", "output", "casadi", "component", "int", "fmi2", "MODEL", "main"])
+@pytest.mark.parametrize("name", few(["int", "start", "output", "casadi", "component", "fmi2", "MODEL", "main"], 2))
 def test_a_model_of_any_name_compiles(name: str, tmp_path: Path) -> None:
     """Names that stand in the sources for something else. They are there without optimisation, which takes most of the time."""
     write(replace(double_toy(), name=name), tmp_path)

@@ -87,6 +87,7 @@ def test_same_component_same_bytes_from_any_folder(tmp_path: Path) -> None:
     assert made[0] == made[1]
 
 
+@pytest.mark.long
 def test_a_cold_compiler_cache_gives_the_same_library(
     tmp_path: Path, unpacked: Path_of, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,7 @@ from fmu_src.compliance.files.binaries import functions
 from fmu_src.native import compiler as native
 from fmu_src.native.sources import text
 from slave import Slave
-from tools import need
+from tools import few, need
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads ELF files")
 
@@ -90,6 +90,7 @@ def identifier(folder: Path) -> str:
 
 
 # zig makes the binaries of every other test.
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["gcc", pytest.param("zig", marks=pytest.mark.long)])
 def test_three_fmus_linked_into_one_program_give_what_their_shared_libraries_give(
     name: str, unpacked: Path_of, tmp_path: Path
@@ -116,7 +117,7 @@ def test_three_fmus_linked_into_one_program_give_what_their_shared_libraries_giv
         assert len(set(line.split())) > STEPS  # it moves
 
 
-@pytest.mark.parametrize("model", THREE)
+@pytest.mark.parametrize("model", few(THREE))
 def test_all_sources_in_one_translation_unit_compile_and_give_the_same(
     model: str, unpacked: Path_of, tmp_path: Path
 ) -> None:

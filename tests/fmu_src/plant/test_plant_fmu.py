@@ -31,7 +31,7 @@ from observers.ukf import ukf
 from once import compiled_once
 from reference_models.plant import plant
 from slave import Slave
-from tools import ROOT, TESTS, need
+from tools import ROOT, TESTS, few, need
 
 H = 0.05
 Modelled = Callable[..., PlantFMU]
@@ -83,7 +83,7 @@ PAIRS: dict[str, tuple[str, Callable[[], Model], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("pair", PAIRS)
+@pytest.mark.parametrize("pair", few(PAIRS, 2))
 def test_the_ukf_of_an_fmu_is_that_of_its_equations_bit_for_bit_with_missing_samples(
     modelled: Modelled, slave: Callable[..., Slave], pair: str
 ) -> None:
@@ -120,6 +120,7 @@ def test_a_fixed_parameter_is_estimated_by_initialisations_bit_for_bit(
     assert one == steps(slave(ukf(swapped, sample_time=H, name="same"), "b"))
 
 
+@pytest.mark.long
 def test_a_large_plant_has_the_filter_of_its_equations_bit_for_bit(modelled: Modelled) -> None:
     """Beyond eight estimates the filter works in loops, on a called function as on equations."""
     n = 30
@@ -150,6 +151,7 @@ def test_a_large_plant_has_the_filter_of_its_equations_bit_for_bit(modelled: Mod
     assert np.array_equal(pair[0].outputs(), pair[1].outputs())
 
 
+@pytest.mark.long
 def test_a_plant_that_prints_is_a_plant(modelled: Modelled, slave: Callable[..., Slave]) -> None:
     one = steps(slave(ukf(modelled("prints"), sample_time=H, name="same")), 0, 10)
     assert one == steps(slave(ukf(plant_fmu.van_der_pol(), sample_time=H, name="same"), "b"), 0, 10)
@@ -221,7 +223,9 @@ def test_time_in_the_plant_is_the_observers(modelled: Modelled, slave: Callable[
         np.testing.assert_allclose(found, [0, 3 * math.cos(3 * t), 0], rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("options", [{}, {"N": 6, "L": 5}, {"process_noise": {"x0": 1e-3, "x1": 1e-3, "mu": 1e-2}}])
+@pytest.mark.parametrize(
+    "options", few([{}, {"N": 6, "L": 5}, {"process_noise": {"x0": 1e-3, "x1": 1e-3, "mu": 1e-2}}])
+)
 def test_the_moving_horizon_of_an_fmu_is_that_of_its_equations_to_its_tolerance(
     modelled: Modelled, options: dict[str, Any]
 ) -> None:
@@ -257,6 +261,7 @@ def test_the_plant_itself_is_a_component_of_a_system(modelled: Modelled, slave: 
         assert one.outputs() == other.outputs()
 
 
+@pytest.mark.long
 def test_four_threads_give_the_sequential_numbers(modelled: Modelled, slave: Callable[..., Slave]) -> None:
     component = ukf(modelled("van_der_pol"), sample_time=H)
     wanted = steps(slave(component))
@@ -416,6 +421,7 @@ def test_licences_travel_and_the_owners_leave_is_asked_for(modelled: Modelled, t
     assert not any("secret" in name for name in names)
 
 
+@pytest.mark.long
 def test_platforms_are_those_of_both_and_other_files_another_guid(modelled: Modelled, tmp_path: Path) -> None:
     one = ukf(modelled("van_der_pol"), sample_time=H)
     with pytest.raises(ExportError, match=r"plant 'van_der_pol.fmu' has no binary for win64; it has linux64"):

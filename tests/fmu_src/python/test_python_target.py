@@ -31,6 +31,7 @@ from once import plotted_briefly
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from slave import Slave
+from test_emulated import KINDS
 from test_lifecycle import (  # noqa: F401  and these, where both targets say the same
     test_a_count_that_an_earlier_state_takes_back_warns_when_it_rises_again,
     test_a_state_saved_anywhere_is_taken_up_anywhere,
@@ -42,7 +43,7 @@ from test_lifecycle import (  # noqa: F401  and these, where both targets say th
 )
 from test_shell import *  # noqa: F403  its tests run here once more, on the FMUs of the fixture below
 from test_shell import CASES, grid
-from tools import ROOT
+from tools import ROOT, few
 
 counted = test_what_a_step_takes_is_counted_from_where_the_run_is  # noqa: F405
 del test_what_a_step_takes_is_counted_from_where_the_run_is  # noqa: F821
@@ -52,12 +53,12 @@ del test_memory_that_is_refused_is_an_answer  # noqa: F821
 Path_of = Callable[[str], Path]
 
 
-@pytest.mark.parametrize("name", COMPONENTS)
+@pytest.mark.parametrize("name", few(COMPONENTS, 5))
 def test_fmpy_finds_nothing_wrong(python_fmus: Path_of, name: str) -> None:
     assert validate_fmu(str(python_fmus(name))) == []
 
 
-@pytest.mark.parametrize("name", COMPONENTS)
+@pytest.mark.parametrize("name", few(COMPONENTS, 5))
 def test_the_description_is_the_native_one_but_for_what_must_differ(
     python_fmus: Path_of, built: Path_of, name: str
 ) -> None:
@@ -291,13 +292,15 @@ def test_a_system_of_python_fmus_gives_the_native_numbers(
 
 
 @pytest.mark.long
-def test_every_system_of_python_fmus_gives_the_native_numbers(catalogue_system: Path_of, tmp_path: Path) -> None:
+def test_a_system_of_every_kind_of_python_fmu_gives_the_native_numbers(
+    catalogue_system: Path_of, tmp_path: Path
+) -> None:
     with plotted_briefly():
-        build_all(choose([]), tmp_path / "fmus", ["host"], target="python")
+        build_all(choose(KINDS), tmp_path / "fmus", ["host"], target="python")
     differences = {
-        name: largest_difference(catalogue_system(name), tmp_path / "systems" / f"{name}.ssp") for name in SYSTEMS
+        name: largest_difference(catalogue_system(name), tmp_path / "systems" / f"{name}.ssp") for name in KINDS
     }
-    limits = {name: 1e-9 if is_noisy(name) else 1e-12 for name in SYSTEMS}
+    limits = {name: 1e-9 if is_noisy(name) else 1e-12 for name in KINDS}
     assert {name: value for name, value in differences.items() if not value <= limits[name]} == {}
 
 

@@ -67,6 +67,7 @@ def test_outputs_are_the_estimate_of_their_own_time_for_parts_of_a_sample(exampl
         assert gap[16004:].max() < limit
 
 
+@pytest.mark.long
 def test_an_actuator_fault_is_detected_within_50_ms_and_noise_alone_never_in_60_s(example: Example) -> None:
     for seed in (0, 5):
         quiet = example("motor", stop=64.0, overrides=NOISE | {"plant.sensor.seed": seed})

@@ -26,6 +26,7 @@ from reference_models.motor import MOTOR
 from reference_models.plant import plant
 from reference_models.sine import sine
 from slave import Slave
+from tools import few
 
 P = {v.name: v.start for v in MOTOR.parameters}
 SMOOTHLY_DRIVEN = dataclasses.replace(MOTOR, input_between_samples="linear")
@@ -135,7 +136,7 @@ def test_regional_placement_meets_the_reference_by_backward_differentiation_of_o
     np.testing.assert_allclose(errors, [0.355, 0.194, 3.1e-3], rtol=0.03)  # spec/errata: |e3| at t = 0.2, 0.5, 1
 
 
-@pytest.mark.parametrize(("real", "imaginary"), [(-2.0, 3.0), (-1.0, 5.0), (-4.0, 0.0)])
+@pytest.mark.parametrize(("real", "imaginary"), few([(-2.0, 3.0), (-1.0, 5.0), (-4.0, 0.0)]))
 def test_a_pair_of_complex_poles_is_the_errors_motion_and_tunable(fmu, real, imaginary):
     component = canonical_dae(
         DOUBLE_INTEGRATOR, sample_time=0.01, poles=[-2 + 3j, -2 - 3j], guess={"x1": 0.0, "x2": 0.0}, name="pair"
@@ -164,7 +165,7 @@ def test_a_full_x_is_set_by_its_factor_and_a_diagonal_entry_below_its_bound_is_r
     assert abs(found[-1, 0] - x(2.999)[2]) < 1e-3 and found[-1, 1] == CODE.estimating
 
 
-@pytest.mark.parametrize(("form", "limit"), [("w", 1e-4), ("bdf", 2e-3)])
+@pytest.mark.parametrize(("form", "limit"), few([("w", 1e-4), ("bdf", 2e-3)]))
 def test_a_current_that_jumps_in_the_measured_voltage_leaves_the_estimate_alone(fmu, form, limit):
     component = canonical_dae(
         CELL, sample_time=1.0, form=form, poles=[-0.05, -0.05], guess={"charge": 0.5}, name=f"cell_{form}"
@@ -218,7 +219,7 @@ def bridge_reference(stop: float):
     return solve_ivp(rhs, (0, stop), [1, 0.3, 1, -0.5, 0], rtol=1e-11, atol=1e-12, dense_output=True).sol
 
 
-@pytest.mark.parametrize(("form", "order"), [("w", 1.8), ("bdf", 1.7)])
+@pytest.mark.parametrize(("form", "order"), few([("w", 1.8), ("bdf", 1.7)]))
 def test_an_input_that_scales_the_output_gives_the_papers_dae_as_the_step_shrinks(fmu, form, order):
     reference, gaps = bridge_reference(2.5), []
     component = canonical_dae(
@@ -279,7 +280,7 @@ ROOM = Model(
 )
 
 
-@pytest.mark.parametrize("form", ["w", "bdf"])
+@pytest.mark.parametrize("form", few(["w", "bdf"]))
 def test_one_output_gives_one_disturbance_where_the_rest_decays_by_itself(fmu, form):
     component = canonical_dae(
         ROOM, sample_time=0.01, form=form, gain="regional", alpha=0.1, guess={"wall": 1.0}, name=f"room_{form}"
