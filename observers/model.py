@@ -18,13 +18,16 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from observers.expressions import ModelError, described, evaluated
 from observers.numerics.equations import Equations
+from observers.variable import Names, Variable
+
+__all__ = ["BRANCHES", "Model", "ModelError", "Names", "Variable", "column_of"]
 
 # CasADi 3.8.2 takes a vector argument of a call that mixes two inputs at consecutive places for a piece of one of them, and writes C that
 # reads the wrong numbers: every call of a parameter beside an estimated one. Vectors that are always copied are right.
@@ -35,70 +38,16 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 BRANCHES = frozenset(
     {"actuator", "certificate", "diagnostics", "estimate", "feedback", "filtered", "guess", "measurement_valid"}
 ) | frozenset({"parameter", "sensor", "start", "structure", "tuning", "x", "z"})
-_GROUPS = ("states", "outputs", "inputs", "parameters", "unknown_parameters", "algebraic", "unknown_disturbances")
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One named scalar: what it is, in which unit, where it starts and what it may be.
-
-    `unit` is an FMI unit expression ("m/s", "rad/s", "1"), or "" for what may stand for anything; `start` is the value before
-    anything is known, `nominal` its typical magnitude (> 0), `min` and `max` its bounds, all in `unit`. An output
-    that is an angle has its period in `wrap` (2 pi in rad, 360 in degrees): what a sensor shows may be any number of turns off.
-    """
-
-    name: str
-    description: str = ""
-    unit: str = "1"
-    start: float = 0.0
-    nominal: float = 1.0
-    min: float = -math.inf
-    max: float = math.inf
-    wrap: float = 0.0
-    NEEDS_UNIT: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ModelError(f"a variable's name is a text, not {described(self.name)}")
-        for what in ("description", "unit"):
-            if not isinstance(getattr(self, what), str):
-                raise ModelError(f"variable '{self.name}': {what} is a text, not {described(getattr(self, what))}")
-        for what in ("start", "nominal", "min", "max"):
-            value = getattr(self, what)
-            if isinstance(value, bool) or not isinstance(value, Real):
-                raise ModelError(f"variable '{self.name}': {what} is a number, not {described(value)}")
-        if self.NEEDS_UNIT and not self.unit:
-            raise ModelError(
-                f"variable '{self.name}': unit = '' is no unit expression; a number without a unit has '1'"
-            )
-        for what in ("start", "nominal"):
-            if not math.isfinite(getattr(self, what)):
-                raise ModelError(f"variable '{self.name}': {what} = {getattr(self, what)} is not finite")
-        if not self.nominal > 0:
-            raise ModelError(f"variable '{self.name}': nominal = {self.nominal:g} must be greater than 0")
-        if not (self.wrap >= 0 and math.isfinite(self.wrap)):
-            raise ModelError(f"variable '{self.name}': wrap = {self.wrap:g} must be the period of an angle, or 0")
-        if self.min > self.max:
-            raise ModelError(f"variable '{self.name}': min = {self.min:g} is greater than max = {self.max:g}")
-        if not self.min <= self.start <= self.max:
-            raise ModelError(
-                f"variable '{self.name}': start = {self.start:g} lies outside [{self.min:g}, {self.max:g}]"
-            )
-
-
-class Names:
-    """The symbols of one group, by attribute (`x.x1`); an unknown name is a ModelError that lists the known ones."""
-
-    def __init__(self, group: str, symbols: dict[str, ca.SX]):
-        self._group = group
-        self._symbols = symbols
-
-    def __getattr__(self, name: str) -> ca.SX:
-        try:
-            return self._symbols[name]
-        except KeyError:
-            known = ", ".join(self._symbols) or "none"
-            raise ModelError(f"there is no {self._group} '{name}'; known: {known}") from None
+_GROUPS = (
+    "states",
+    "outputs",
+    "inputs",
+    "parameters",
+    "unknown_parameters",
+    "algebraic",
+    "unknown_disturbances",
+    "constraints",
+)
 
 
 @dataclass(frozen=True)
@@ -118,6 +67,9 @@ class Model:
         algebraic: algebraic variables z, determined by `algebraic_equations`, as many as those.
         algebraic_equations: `(x, z, u, p, t) -> [g_1, ...]`, each zero.
         unknown_disturbances: time-varying inputs that nobody measures; `u.<name>`.
+        constraints: what the motion is known to obey besides, r(x, z, u, p, t) <= 0, by name; `nominal` is the magnitude in which a
+            violation is measured. An observer that imposes none says so.
+        constraint: the same signature, `-> [r_1, ...]`, one entry for each constraint.
         input_between_samples: what a known input does between two samples, "held" or "linear". Until the next sample is known an
             observer holds it, or follows the derivatives that its host sets; then it takes the line.
         output_starts: what a sensor shows before anything has moved: each output's own start value where it has one, else the output at the
@@ -125,8 +77,8 @@ class Model:
 
     Raises:
         ModelError: names that are no identifiers, not unique, or (inputs, outputs) one of BRANCHES; unknown names in an
-            equation, an equation count that does not match, an equation that is not finite at the start values, an output that
-            depends on nothing.
+            equation, an equation count that does not match, an equation that is not finite at the start values, an output or a
+            constraint that depends on nothing that is estimated, a constraint with bounds or a start value.
     """
 
     name: str
@@ -140,6 +92,8 @@ class Model:
     algebraic: Sequence[Variable] = ()
     algebraic_equations: Callable[..., Iterable[Any]] | None = None
     unknown_disturbances: Sequence[Variable] = ()
+    constraints: Sequence[Variable] = ()
+    constraint: Callable[..., Iterable[Any]] | None = None
     input_between_samples: str = "held"
     description: str = ""
     equations: Equations = field(init=False, repr=False, compare=False)
@@ -153,6 +107,8 @@ class Model:
             )
         if bool(self.algebraic) != (self.algebraic_equations is not None):
             raise ModelError(f"model '{self.name}': algebraic variables and algebraic_equations go together")
+        if bool(self.constraints) != (self.constraint is not None):
+            raise ModelError(f"model '{self.name}': constraints and constraint, their function, go together")
         equations = self._build()
         object.__setattr__(self, "equations", equations)
         at_start = self._finite_at_start(equations)
@@ -169,6 +125,7 @@ class Model:
             "parameter": self.parameters,
             "unknown parameter": self.unknown_parameters,
             "unknown disturbance": self.unknown_disturbances,
+            "constraint": self.constraints,
         }
 
     def _check_names(self) -> None:
@@ -197,6 +154,12 @@ class Model:
             raise ModelError(f"model '{self.name}' has no states")
         if not self.outputs:
             raise ModelError(f"model '{self.name}' has no outputs")
+        for v in self.constraints:
+            if v.start or math.isfinite(v.min) or math.isfinite(v.max):
+                raise ModelError(
+                    f"model '{self.name}': the constraint '{v.name}' has start = {v.start:g}, min = {v.min:g}, max = {v.max:g}; "
+                    "a constraint says that its expression is at most 0: write its limit into the expression"
+                )
 
     def _check_groups(self) -> None:
         for attribute in _GROUPS:
@@ -245,10 +208,16 @@ class Model:
             if self.algebraic_equations
             else ca.SX(0, 1),
             output=evaluate("output", self.output, self.outputs),
+            constraint=evaluate("constraint", self.constraint, self.constraints) if self.constraint else ca.SX(0, 1),
         )
         for variable, expression in zip(self.outputs, ca.vertsplit(made.output), strict=True):
             if not ca.depends_on(expression, ca.vertcat(made.x, made.z)):
                 raise ModelError(f"model '{self.name}': output '{variable.name}' depends on no state")
+        for variable, expression in zip(self.constraints, ca.vertsplit(made.constraint), strict=True):
+            if not ca.depends_on(expression, ca.vertcat(made.x, made.z, made.theta, made.w)):
+                raise ModelError(
+                    f"model '{self.name}': constraint '{variable.name}' depends on nothing that is estimated"
+                )
         return made
 
     def _finite_at_start(self, made: Equations) -> list[float]:
@@ -266,6 +235,7 @@ class Model:
         for what, expressions, variables in (
             ("ode", made.ode, self.states),
             ("algebraic_equations", made.algebraic, self.algebraic),
+            ("constraint", made.constraint, self.constraints),
             ("output", made.output, self.outputs),
         ):
             values = ca.Function("at_start", symbols, [ca.densify(expressions)])(*starts, 0).full().ravel().tolist()

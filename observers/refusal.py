@@ -1,4 +1,4 @@
-"""What a method cannot treat, said by the names of what the model has."""
+"""What a method cannot treat, or leaves aside, said by the names of what the model has."""
 
 from __future__ import annotations
 
@@ -27,3 +27,14 @@ def refuse_opaque(model: Model, method: str) -> None:
             f"{method}: model '{model.name}' is an FMU, and this method needs formulas, whose second derivatives it takes; ukf, riccati "
             "and pseudospectral do with what an FMU tells"
         )
+
+
+def not_imposed(model: Model) -> str:
+    """A paragraph (HTML) for the documentation of a method that leaves the model's path constraints aside; none without any."""
+    if not model.constraints:
+        return ""
+    names = ", ".join(v.name for v in model.constraints)
+    return (
+        f"<p>The model's constraints ({names}) are not imposed by this method: the estimate may violate them. The pseudospectral observer "
+        "imposes them.</p>"
+    )

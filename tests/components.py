@@ -60,6 +60,9 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     "rotation_bounded": lambda: pseudospectral(
         moving_window.rotation(), sample_time=0.2, N=12, L=10, name="rotation_bounded"
     ),
+    "rotation_with_sign": lambda: pseudospectral(
+        moving_window.rotation_with_sign(), sample_time=0.2, N=12, L=10, name="rotation_with_sign"
+    ),
     "duffing_missing_ukf": lambda: ukf(DUFFING, sample_time=0.1, measurement_noise={"y": 1e-3}, name="duffing_ukf"),
     **{name: FMUS[name][0] for name in ("motor_canonical_dae", "van_der_pol_known_elementary")},
     "moved_riccati": lambda: riccati(
@@ -74,6 +77,7 @@ STRAIGHT = {
     "linear_arrival",
     "linear_noise",
     "rotation_bounded",
+    "rotation_with_sign",
     "motor_canonical_dae",
     "van_der_pol_known_elementary",
     "moved_riccati",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -88,6 +89,11 @@ def rotation(bounded=True):
         ode=lambda x, u, p, t: [x.x3 * x.x2, -x.x3 * x.x1, 0],
         output=lambda x, u, p, t: [x.x1],
     )
+
+
+def rotation_with_sign():
+    """The same with x3 >= 0 as a path constraint."""
+    return replace(rotation(False), constraints=[Variable("forward", "-x3")], constraint=lambda x, u, p, t: [-x.x3])
 
 
 NONLINEAR = Model(

@@ -38,7 +38,7 @@ from observers.component import Component
 from observers.linearisation import prediction_step
 from observers.model import Model
 from observers.numerics.runge_kutta import CLASSICAL_4
-from observers.refusal import refuse, refuse_opaque
+from observers.refusal import not_imposed, refuse, refuse_opaque
 
 FASTEST = 10.0  # [1/s]: where the poles are by default
 
@@ -138,7 +138,7 @@ def canonical_dae(
         stop_time=stop_time,
         step_size=sample_time,
         counters=(SINGULAR.name, *(port.name for port in (*ports.COUNTERS, ports.RESTARTS))),
-        documentation=documentation(model, chosen, form, order, degree),
+        documentation=documentation(model, chosen, form, order, degree) + not_imposed(model),
     )
 
 

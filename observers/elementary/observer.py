@@ -40,6 +40,7 @@ from observers.model import Model
 from observers.numerics.finite import HUGE
 from observers.numerics.layout import Layout
 from observers.numerics.runge_kutta import runge_kutta
+from observers.refusal import not_imposed
 from observers.status import CODE
 from observers.status import shown as verdict
 
@@ -151,7 +152,8 @@ def elementary(
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in (*ports.COUNTERS, ports.RESTARTS)),
-        documentation=elementary_ports.documentation(model, N, describe_problems(model, problems), null),
+        documentation=elementary_ports.documentation(model, N, describe_problems(model, problems), null)
+        + not_imposed(model),
     )
 
 

@@ -42,7 +42,7 @@ from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import Linearisation, linearisation, prediction_step, refuse_unobservable
 from observers.model import Model, ModelError
 from observers.numerics.finite import HUGE
-from observers.refusal import refuse, refuse_opaque
+from observers.refusal import not_imposed, refuse, refuse_opaque
 from observers.status import shown as verdict
 from observers.tables import refuse_tables_that_end
 from observers.vigilance import TUNING
@@ -150,7 +150,7 @@ def least_squares(
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
-        documentation=_documentation(model, linearise),
+        documentation=_documentation(model, linearise) + not_imposed(model),
     )
     return with_linear_inputs(made, model, sample_time)
 

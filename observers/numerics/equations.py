@@ -11,7 +11,8 @@ import casadi as ca
 class Equations:
     """A model's equations as CasADi SX columns.
 
-    Symbols `x` (nx), `z` (nz), `u` (nu), `w` (nw), `p` (np), `theta` (nt), `t`; expressions `ode` (nx), `algebraic` (nz), `output` (ny).
+    Symbols `x` (nx), `z` (nz), `u` (nu), `w` (nw), `p` (np), `theta` (nt), `t`; expressions `ode` (nx), `algebraic` (nz), `output` (ny),
+    `constraint` (nr), each entry at most 0.
     """
 
     x: ca.SX
@@ -24,3 +25,4 @@ class Equations:
     ode: ca.SX
     algebraic: ca.SX
     output: ca.SX
+    constraint: ca.SX

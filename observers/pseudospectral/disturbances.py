@@ -27,12 +27,13 @@ def wandering(model: Model, process_noise: Mapping[str, float] | None) -> tuple[
 
         return evaluate
 
-    algebraic = model.algebraic_equations
+    algebraic, constraint = model.algebraic_equations, model.constraint
     changed = replace(
         model,
         ode=with_inputs(model.ode),
         output=with_inputs(model.output),
         algebraic_equations=with_inputs(algebraic) if algebraic is not None else None,
+        constraint=with_inputs(constraint) if constraint is not None else None,
         unknown_parameters=(*model.unknown_parameters, *disturbances),
         unknown_disturbances=(),
     )

@@ -52,6 +52,7 @@ def layout(method: Method) -> Layout:
         **innovation_test.state(method),
         node0_residual=1,
         slack=int(method.constraints.any),
+        path=len(method.model.constraints),  # the constraints' values at the last sample's estimate
         rejected=1,
         failures=1,
         restarts=1,
@@ -63,6 +64,7 @@ def start(method: Method) -> ca.Function:
     state = layout(method)
     p, t = ca.SX.sym("p", method.settings.total), ca.SX.sym("t")
     q = method.settings.unpack(p)
+    inputs = ca.DM([v.start for v in method.model.inputs])
     first = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {
         "x": q.guess_x,
         "z": q.guess_z,
@@ -74,6 +76,7 @@ def start(method: Method) -> ca.Function:
         "status": ca.DM(CODE.propagated_guess),
         "model": q.model,
         "covariance": covariance.initial(method, q),
+        "path": method.path(q.guess_x, inputs, q.model, q.guess_theta, t, q.guess_z),
         **innovation_test.start(),
         **arrival.start(q, method.arrival),
     }
@@ -93,6 +96,7 @@ def output(method: Method) -> ca.Function:
         s.deviation,
         s.node0_residual,
         s.slack,
+        s.path,
         s.bounds,
         s.rejected,
         s.failures,

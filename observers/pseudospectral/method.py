@@ -43,6 +43,12 @@ class Method:
         """The outputs; one function, so that the generated code holds it once."""
         return algebraic.measurement(self.equations)
 
+    @cached_property
+    def path(self) -> ca.Function:
+        """The path constraints of the model at (x, u, p, theta, t, z)."""
+        eq = self.model.equations
+        return ca.Function("path", [eq.x, eq.u, eq.p, eq.theta, eq.t, eq.z], [ca.densify(eq.constraint)])
+
     @property
     def sees_inputs(self) -> bool:
         """Whether an output depends on the inputs, itself or through the algebraic variables."""

@@ -14,6 +14,7 @@ Problem 3 comes within step 3 (`bounded_noise`). What the paper leaves out is wh
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -47,15 +48,14 @@ def jump(method: Method) -> ca.Function:
 def _instant(method: Method, z: Any, u: Any, p: Any, t: Any) -> Instant:
     ny, n_known = method.problem.ny, len(method.model.inputs)
     q = method.settings.unpack(p)
-    known = u[ny : ny + n_known] if n_known else ca.MX(0, 1)
-    return Instant(
-        s=memory.layout(method).unpack(z),
-        q=q,
-        u=u,
-        offered=u[ny + n_known :] > 0.5,
-        known=method.lift(known, q.model),
-        t=t,
-    )
+    now = Instant(s=memory.layout(method).unpack(z), q=q, u=u, offered=u[ny + n_known :] > 0.5, known=None, t=t)
+    return replace(now, known=method.lift(_inputs(method, now), q.model))
+
+
+def _inputs(method: Method, now: Instant) -> Any:
+    """The model's known inputs, as they are given."""
+    ny, n_known = method.problem.ny, len(method.model.inputs)
+    return now.u[ny : ny + n_known] if n_known else ca.MX(0, 1)
 
 
 def _next(
@@ -86,7 +86,7 @@ def _next(
         "z_filtered": found.z,
         "theta_filtered": found.theta,
         "y": window.Y,
-        "weight": window.W,
+        "weight": window.weight,
         "u": window.U,
         "seen": window.seen,
         "input_integral": ca.DM.zeros(method.problem.nu),
@@ -116,6 +116,7 @@ def _next(
         "quiet": ca.fmax(tested.state["quiet"], worth.heavy * innovation_test.patience(method)),
         "fit_noise": ca.DM(0, 1) if method.weighted else ca.if_else(solution.accepted, solution.fit_noise, s.fit_noise),
         "slack": solution.slack if method.constraints.any else ca.DM(0, 1),
+        "path": method.path(found.x, _inputs(method, now), now.q.model, found.theta, now.t, found.z),
         **prior,
         **solution.bounds,
     }

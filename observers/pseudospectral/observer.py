@@ -11,7 +11,10 @@ What deviates from the paper, and why:
   (`cost="spline"`); its interpolation error is what limits the paper's accuracy.
 - (19) prints z - y for h(z) - y.
 - Instead of the paper's step 3 (propagate the guess), the first guess is flat: propagation over a long window can overflow.
-- Until the window is full it grows (Remark 3): the window starts at t0 with its final length, samples not yet taken weigh nothing.
+- Until the window is full it grows (Remark 3): the window starts at t0 with its final length, samples not yet taken weigh nothing. Later
+  `tuning.window_length` says how many of the newest samples count; the trajectory still begins L samples back.
+- Section 3.1 warm starts with the covectors too (the covector mapping theorem). There are none here: the model's equations are
+  eliminated, not multiplied, and what is subject to bounds is a small program in s that is solved anew. The warm start is the trajectory.
 
 What goes beyond it: windows of several segments, each with a polynomial of its own, whose cost grows with their number and not with its
 cube; an arrival cost, by which samples that have left the window still count; algebraic variables (section 3.5) eliminated node by node.
@@ -48,7 +51,9 @@ from observers.pseudospectral.ports import (
     QUALITY,
     REGULARITY_LIMIT,
     constants,
+    window_length,
 )
+from observers.pseudospectral.ports import constraints as path_values
 from observers.pseudospectral.ports import tuning as tuning_of
 
 
@@ -73,7 +78,8 @@ def pseudospectral(
 ) -> Component:
     """The observer for `model` as a component: measurements and known inputs in, `estimate.*` out.
 
-    Finite bounds of the model's states and unknown parameters (`Variable.min`, `max`) are constraints of the solve, (3) and (18).
+    Finite bounds of the model's states and unknown parameters (`Variable.min`, `max`), and the model's `constraints`, are constraints of
+    the solve, (3) and (18): those at the nodes, these at the nodes and at the samples.
 
     Args:
         sample_time: Ts [s]; structural, because the constants of the window hold delta = L Ts.
@@ -123,6 +129,9 @@ def pseudospectral(
     structure.check(model, N, L, segments, cost, more)
     tuning = tuning_of(len(model.states) + len(model.unknown_parameters))
     tuning = (*tuning, REGULARITY_LIMIT) if model.algebraic else tuning
+    # With an arrival cost what has left the window counts for good; the paper's spline wants all samples.
+    window_tunable = not arrival_cost and cost == "samples"
+    tuning = (*tuning, window_length(L)) if window_tunable else tuning
     tube = bounded_noise.ports_of(model, noise_bound)
     weighted = arrival_cost or any(noisy) or measurement_noise is not None
     given = arrival.Given(arrival_cost, weighted, process_noise, measurement_noise, initial_std)
@@ -133,6 +142,7 @@ def pseudospectral(
         guess_theta=len(model.unknown_parameters),
         model=len(model.parameters),
         **{ports.last_name(port): 1 for port in tuning},
+        **({} if window_tunable else {"window_length": 0}),
         noise_bound=len(model.outputs) if tube.tuning else 0,
         bound_margin=1 if tube.tuning else 0,
         **arrival.settings(model, given),
@@ -177,6 +187,7 @@ def pseudospectral(
             *ports.standard_deviations(model),
             *QUALITY,
             *((CONSTRAINT_VIOLATION,) if method.constraints.any else ()),
+            *path_values(model),
             *tube.diagnostics,
             *ports.COUNTERS,
             ports.RESTARTS,
@@ -196,6 +207,8 @@ def pseudospectral(
 def _documentation(model: Model, chosen: Structure, sample_time: float, cost: str) -> str:
     N, L, segments = chosen.N, chosen.L, chosen.segments
     where = "at the sample instants" if cost == "samples" else "through a cubic spline at the nodes, as in the paper"
+    names = ", ".join(v.name for v in model.constraints)
+    imposed = f"<p>At the nodes and at the samples the fit obeys the constraints {names}.</p>" if names else ""
     shape = f"a polynomial of order {N}" if segments == 1 else f"{segments} polynomials of order {N}, end to end,"
     return (
         f"<p>At every sample instant the trajectory of the model {model.name} that fits the last {L + 1} samples best ({where}) is "
@@ -205,4 +218,5 @@ def _documentation(model: Model, chosen: Structure, sample_time: float, cost: st
         "<p><code>diagnostics.status</code> says whether the estimate can be trusted; <code>estimate.*</code> is of the current time, "
         "<code>filtered.*</code> of the last sample instant. Where a sample has not arrived, set its <code>measurement_valid.*</code> "
         "to false for that step.</p>"
+        f"{imposed}"
     )

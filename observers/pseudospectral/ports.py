@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from observers import ports
 from observers.component import Port
+from observers.model import Model
 from observers.pseudospectral.window.iteration import MOST_ITERATIONS
 
 TUNING = (
@@ -113,7 +114,7 @@ QUALITY = (
 NO_GATE = 1e15  # of `tuning.gate`
 CONSTRAINT_VIOLATION = Port(
     "diagnostics.constraint_violation",
-    "by how much bounds had to give way, in units of nominal values; above 0: they contradict each other",
+    "by how much bounds and constraints had to give way, in units of nominal values; above 0: they contradict each other or the samples",
     variability="discrete",
 )
 SMOOTHNESS = 2  # m of Assumption 2
@@ -124,6 +125,33 @@ REGULARITY_LIMIT = Port(
     min=0.0,
     variability="tunable",
 )
+
+
+def window_length(L: int) -> Port:
+    """How much of the window counts (Remark 3)."""
+    return Port(
+        "tuning.window_length",
+        "sample intervals of the window that count: of older samples nothing is asked until it is raised again",
+        start=L,
+        min=1,
+        max=L,
+        kind="Integer",
+        variability="tunable",
+    )
+
+
+def constraints(model: Model) -> tuple[Port, ...]:
+    """The values of the model's path constraints (3), at most 0 where they are met."""
+    return tuple(
+        Port(
+            f"diagnostics.constraint.{v.name}",
+            f"{v.description or v.name}, at the estimate of the last sample: met up to 0",
+            v.unit,
+            nominal=v.nominal,
+            variability="discrete",
+        )
+        for v in model.constraints
+    )
 
 
 def constants(N: int, L: int, segments: int, sample_time: float) -> tuple[Port, ...]:

@@ -43,10 +43,10 @@ class Window:
     """The window [t_k - L Ts, t_k] with the new sample at its `place`; a window that is not full yet is not `moving`.
 
     `readable`, `valid` (ny): what of the new sample is a number, and what counts; `y` (ny) that, else 0; `innovation` (ny) against the
-    prediction. `Y`, `W` (ny (L + 1)) the window's samples and their weights; `U` its inputs as `Segment` wants them, `seen` those at the
-    samples where the outputs see them, `at_points` those at the measured points; `data` the problem's known terms, `start` its time [s];
-    `active` (segments), which of them have a sample; `noise_std` (segments n_noise) what their process noise is in units of; `tested`,
-    whether the new sample fits the prediction.
+    prediction. `Y`, `W` (ny (L + 1)) the window's samples and their weights in the fit, `weight` those that they keep; `U` its inputs as
+    `Segment` wants them, `seen` those at the samples where the outputs see them, `at_points` those at the measured points; `data` the
+    problem's known terms, `start` its time [s]; `active` (segments), which of them have a sample; `noise_std` (segments n_noise) what
+    their process noise is in units of; `tested`, whether the new sample fits the prediction.
     """
 
     readable: Any
@@ -57,6 +57,7 @@ class Window:
     place: Any
     Y: Any
     W: Any
+    weight: Any
     U: Any
     seen: Any
     at_points: Any
@@ -96,7 +97,8 @@ def collect(method: Method, now: Instant) -> Window:
         moving=s.k > L,
         place=place,
         Y=Y,
-        W=W,
+        W=_recent(method, now, place, W),
+        weight=W,
         U=U,
         seen=seen,
         at_points=at_points,
@@ -106,6 +108,15 @@ def collect(method: Method, now: Instant) -> Window:
         noise_std=_noise_std(method, now, place),
         tested=tested,
     )
+
+
+def _recent(method: Method, now: Instant, place: Any, W: Any) -> Any:
+    """The weights W of the samples, but 0 for those older than `tuning.window_length`."""
+    length = now.q.window_length
+    if not length.numel():
+        return W
+    age = place - ca.DM(np.repeat(np.arange(method.samples + 1), method.problem.ny))
+    return W * (age <= length)
 
 
 def _active(method: Method, place: Any) -> Any:

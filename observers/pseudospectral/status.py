@@ -66,15 +66,16 @@ def quality(
     rms = ca.sqrt(solution.cost / ca.fmax(ca.sum1(ref.point_weight), Ts))
     residual = (solution.cost_after, solution.accepted)
     heavy, fit_factor = innovation_test.fit_tested(method, now, window.W, *residual, tested.inconsistent)
+    length = q.window_length if q.window_length.numel() else method.samples
     status = worst(
-        (ca.logic_not(window.moving + (s.k == method.samples)), CODE.settling),
+        (s.k < length, CODE.settling),
         (ca.logic_or(tested.settling, innovation_test.unknown_noise(method, learned)), CODE.settling),
         (tested.outlier, CODE.outlier),
         (ca.logic_or(tested.inconsistent, heavy), CODE.inconsistent),
         (solution.kept, CODE.prediction_kept),
         (ca.sum1(window.valid) < ny, CODE.sample_rejected),
         (node0 > q.collocation_limit, CODE.coarse_collocation),
-        (changed > 0, CODE.parameter_changed),
+        (changed > method.samples - length, CODE.parameter_changed),
         (deviation > q.deviation_limit, CODE.uncertain),
         (rms > q.residual_limit, CODE.inconsistent),
         (solution.slack > VIOLATED, CODE.inconsistent),

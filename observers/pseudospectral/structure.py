@@ -104,7 +104,7 @@ def problem(
     nominal = np.array([v.nominal for v in (*model.states, *model.unknown_parameters)])
     z_scale = tuple(v.nominal for v in model.algebraic)
     bounded = [i for i, v in enumerate(model.states) if math.isfinite(v.min) or math.isfinite(v.max)]
-    return LeastSquares(
+    made = LeastSquares(
         segment=s,
         count=segments,
         rates=pointwise(parts, eq, z_scale),
@@ -121,6 +121,21 @@ def problem(
         output_sees_theta=bool(ca.depends_on(ca.vertcat(eq.output, eq.algebraic), eq.theta))
         if eq.theta.numel()
         else False,
+    )
+    return replace(made, path=_path(model, eq, made)) if model.constraints else made
+
+
+def _path(model: Model, eq: Equations, problem: LeastSquares) -> LeastSquares:
+    """`problem` with the model's path constraints (3) for its outputs, at the nodes and the sample instants."""
+    s = problem.segment
+    times = np.concatenate([s.node_times, np.arange(s.samples + 1) * s.sample_time])
+    part = _with_algebraic(split(eq.constraint, eq.x, eq.u), eq)
+    return replace(
+        problem,
+        output=part,
+        output_rest=pointwise(part, eq, tuple(v.nominal for v in model.algebraic)),
+        points=np.unique(np.round(times / s.length, 12)) * s.length,  # a node may be a sample but for rounding
+        output_scale=np.array([v.nominal for v in model.constraints]),
     )
 
 
@@ -142,4 +157,5 @@ def constraints(model: Model, problem: LeastSquares, tube: bool) -> Constraints:
         node_lower=np.array([v.min for v in states]),
         node_upper=np.array([v.max for v in states]),
         tube=tube,
+        path=bool(model.constraints),
     )

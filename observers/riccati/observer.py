@@ -29,7 +29,7 @@ from observers.innovation_covariance import innovation_covariance
 from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import Linearisation, chosen_step, linearisation, refuse_undetectable
 from observers.model import Model
-from observers.refusal import refuse
+from observers.refusal import not_imposed, refuse
 from observers.riccati import steps
 from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
 from observers.riccati.design import UNKNOWN, Given, design
@@ -150,7 +150,7 @@ def riccati(
         stop_time=stop_time,
         step_size=sample_time,
         counters=tuple(port.name for port in ports.COUNTERS),
-        documentation=_documentation(model, known, None if stiff else tableau.order),
+        documentation=_documentation(model, known, None if stiff else tableau.order) + not_imposed(model),
     )
     return with_linear_inputs(made, model, sample_time)
 

@@ -26,7 +26,7 @@ from observers.innovation_covariance import innovation_covariance
 from observers.linear_inputs import with_linear_inputs
 from observers.linearisation import chosen_step, refuse_unobservable
 from observers.model import Model, ModelError
-from observers.refusal import refuse
+from observers.refusal import not_imposed, refuse
 from observers.tables import refuse_tables_that_end
 from observers.ukf import steps
 from observers.ukf.parts import parts
@@ -119,6 +119,7 @@ def ukf(
             f"<p>A square-root unscented Kalman filter for the model {model.name} (Julier and Uhlmann, Proc. IEEE 92 (3), 2004). "
             "<code>tuning.process_noise.*</code> says how fast each state or unknown parameter may wander away from the model: with 0 an "
             "unknown parameter freezes once it is believed. <code>diagnostics.std.*</code> is the estimate's own standard deviation.</p>"
+            f"{not_imposed(model)}"
         ),
     )
     return with_linear_inputs(made, model, sample_time)

@@ -13,7 +13,6 @@ from cosim.results import Result
 from said import rows_of
 from tools import ROOT
 
-ROWS = rows_of(ROOT / "docs" / "papers.md")
 GONG, JAMES, CHEN, NIKOUKHAH, CALVILLO = (
     "Gong, Ross & Kang 2007: the pseudospectral observer",
     "James & Baras 1987: the Riccati observer",
@@ -21,6 +20,22 @@ GONG, JAMES, CHEN, NIKOUKHAH, CALVILLO = (
     "Nikoukhah 1995: the canonical DAE observer",
     "Calvillo-Corona & Alamir: elementary problems",
 )
+
+
+class Row(NamedTuple):
+    """The cells behind the claim: `place` in the paper, whether it `holds`, what was `measured` and `by` which file of the tests."""
+
+    place: str
+    holds: str
+    measured: str
+    by: str
+
+
+ROWS = {
+    (heading, claim): Row(*cells)
+    for (heading, claim), cells in rows_of(ROOT / "docs" / "papers.md").items()
+    if claim != "claim"
+}
 
 
 class Runs(NamedTuple):
@@ -32,7 +47,7 @@ class Runs(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A row, the words of its last cell with {} for each number, what computes the numbers, how far off these may be besides rounding."""
+    """A row, the words of what was measured, {} for each number, what computes these, and how far off they may be besides rounding."""
 
     row: tuple[str, str]
     words: str

@@ -143,7 +143,7 @@ FAULT = {"plant.parameter.actuator_fault_jump_time[1]": 4.0, "plant.parameter.ac
 
 @said(
     NIKOUKHAH,
-    "the relaxation shows a fault within 0.02 s",
+    "lambda is a residual that shows failures",
     "its peak of {} comes after {} s; detected after {} to {} ms under noise",
 )
 def _(runs: Runs) -> Any:
@@ -189,7 +189,7 @@ def _(runs: Runs) -> Any:
     return [len(changes), 2, 3]
 
 
-@said(CALVILLO, "-", "with the bounds {} <= v <= {} x2 is found to {}", rel=0.05, long=True)
+@said(CALVILLO, "x2 found with bounds", "with the bounds {} <= v <= {} x2 is found to {}", rel=0.05, long=True)
 def _(runs: Runs) -> Any:
     found = batch(True)
     return [0.0, 0.5, np.mean(found.X[-1][1] - found.x[1])]

@@ -12,7 +12,8 @@ and the sum over the segments of [r + M_0, M_s]' W [r + M_0, M_s] holds normal m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -30,6 +31,7 @@ class Linearised:
 
     `normal` (1 + ns, 1 + ns); `sol` the segments' d V / d [1; s]; `Z` the algebraic variables at the nodes; `residual` (h - y) and
     `sensitivity` its derivative by [1; s] at all measured points; `nodes` and `node_sensitivity` those of the bounded states at the nodes;
+    `path` and `path_sensitivity` those of the path constraints at their points;
     `reached` (nx, 1 + ns) that of the state at the sample that `given["at"]` is of (none without it).
     """
 
@@ -40,6 +42,8 @@ class Linearised:
     sensitivity: Any
     nodes: Any
     node_sensitivity: Any
+    path: Any
+    path_sensitivity: Any
     reached: Any
 
 
@@ -100,7 +104,7 @@ def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str,
     xs, theta = s[: problem.nx], s[problem.nx :]
     RG = _at_start(problem, kind)
     normal = kind(ca.DM.zeros(n, n))
-    parts: dict[str, list[Any]] = {name: [] for name in ("sol", "Z", "r", "M", "X", "G")}
+    parts: dict[str, list[Any]] = {name: [] for name in ("sol", "Z", "r", "M", "X", "G", "P", "Q")}
     first = segment(problem, 0, kind)
     later = _if_active(segment(problem, 1, kind)) if problem.count > 1 else None
     reached = kind(ca.DM.zeros(problem.nx, n))
@@ -117,7 +121,16 @@ def linearise(problem: LeastSquares, V: Any, Z: Any, s: Any, given: Mapping[str,
             reached = _reached(problem, kind, last)(given["at"], before, found[3], reached)
     stacked = {name: ca.vertcat(*values) for name, values in parts.items() if name != "sol"}
     return Linearised(
-        normal, parts["sol"], stacked["Z"], stacked["r"], stacked["M"], stacked["X"], stacked["G"], reached
+        normal,
+        parts["sol"],
+        stacked["Z"],
+        residual=stacked["r"],
+        sensitivity=stacked["M"],
+        nodes=stacked["X"],
+        node_sensitivity=stacked["G"],
+        path=stacked["P"],
+        path_sensitivity=stacked["Q"],
+        reached=reached,
     )
 
 
@@ -197,8 +210,8 @@ def _residual(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
 def segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     """Function of (xs, RG, V, Z, theta, data, p, y, w) of a first (j = 0) or later segment, with `Along.jump` where it counts.
 
-    Returns (xs+, RG+, normal, sol, Z+, r, M, X, G): X the bounded states at the nodes, G their derivative by [1; s], or [1; s; noise], as
-    all derivatives here.
+    Returns (xs+, RG+, normal, sol, Z+, r, M, X, G, P, Q): X the bounded states at the nodes, G their derivative by [1; s], or
+    [1; s; noise], as all derivatives here; P and Q the same of the path constraints.
     """
     kind = ca.SX if problem.segment_is_small else kind
     arguments = _segment_symbols(problem, j, kind)
@@ -226,8 +239,23 @@ def segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
         G = sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(s.node_times[1:], list(problem.bounded))))
     whole = ca.vertcat(*sol) if sol else kind(0, n)
     r, M = (ca.vertcat(*column) for column in zip(*rows, strict=True))
-    results = [xs_end, RG_end, normal, whole, Z_new, r, M, X, G]
+    P, Q = _path(problem, j, at, RG, sol)
+    results = [xs_end, RG_end, normal, whole, Z_new, r, M, X, G, P, Q]
     return ca.Function(f"segment_{j}", arguments, [ca.densify(result) for result in results])
+
+
+def _path(problem: LeastSquares, j: int, at: Along, RG: Any, sol: list[Any]) -> tuple[Any, Any]:
+    """The path constraints at the nodes and samples of segment j, and their derivatives; theta is that before a jump at the end."""
+    kind = type(at.xs)
+    if problem.path is None:
+        return kind(0, 1), kind(0, RG.shape[1])
+    known = SimpleNamespace(
+        offset=at.known.path_offset, forced_output=at.known.path_forced, known_output=at.known.path_known
+    )
+    limits = kind(ca.DM.zeros(known.offset.numel()))
+    rows = measured(problem.path, j, replace(at, known=known, jump=None), limits, (RG, sol))
+    values, derivatives = (ca.vertcat(*column) for column in zip(*rows, strict=True))
+    return values, derivatives
 
 
 def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:

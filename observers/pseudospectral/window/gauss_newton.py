@@ -4,13 +4,13 @@ With the linearisation of `condense`, the step in s = [x0; theta] minimises
 
     |r + M_0 + M ds|^2_W + |s + ds - sbar|^2_Pinv + lam |ds|^2                   (the arrival cost where there is one)
 
-subject to bounds on theta and x0 (a box), on the states at the nodes, and on the outputs at the measured points (rows with one common
-slack). Where the free step satisfies them all it is the solution.
+subject to bounds on theta and x0 (a box), on the states at the nodes, on the outputs at the measured points, and to path constraints
+(rows with one common slack). Where the free step satisfies them all it is the solution.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,7 @@ FAR = 1e-2  # weight of the step in Problem 3, which has no curvature of its own
 @dataclass(frozen=True)
 class Constraints:
     """What the solution is subject to: `lower`, `upper` (ns) bounds of s, `node_lower`, `node_upper` those of the problem's bounded
-    states, `tube` whether the outputs are bounded too; infinite entries bound nothing.
+    states, `tube` whether the outputs are bounded too, `path` whether the problem has path constraints; infinite entries bound nothing.
     """
 
     lower: np.ndarray
@@ -37,11 +37,12 @@ class Constraints:
     node_lower: np.ndarray
     node_upper: np.ndarray
     tube: bool = False
+    path: bool = False
 
     @property
     def any(self) -> bool:
         bounds = np.concatenate([self.lower, self.upper, self.node_lower, self.node_upper])
-        return self.tube or bool(np.isfinite(bounds).any())
+        return self.tube or self.path or bool(np.isfinite(bounds).any())
 
 
 @dataclass(frozen=True)
@@ -181,6 +182,13 @@ def conditioning_of(scale: tuple[float, ...]) -> ca.Function:
     return ca.Function("conditioning", [full, lam], [reduced(full, lam)[1]])
 
 
+def _active(g: Mapping[str, Any], rows: list[int]) -> Any:
+    """Whether each of a segment's `rows` counts: of a segment without a sample yet nothing is known."""
+    if "active" not in g:
+        return 1
+    return ca.vertcat(*[ca.repmat(g["active"][j], count, 1) for j, count in enumerate(rows)])
+
+
 def _constrained(
     solve: Solve, s: Any, at: condense.Linearised, normal: Any, g: dict[str, Any], reach: Any
 ) -> tuple[Any, Any, Any]:
@@ -207,7 +215,16 @@ def _constrained(
         for sign, bound in ((1.0, c.node_upper), (-1.0, c.node_lower)):
             there = np.isfinite(bound)
             room = sign * (ca.DM(np.tile(np.where(there, bound, 0.0), repeat)) - predicted)
-            rows(sign * G * ca.repmat(unit, 1, ns), unit * room, ca.DM(np.tile(there.astype(float), repeat)))
+            here = ca.DM(np.tile(there.astype(float), repeat)) * _active(
+                g, [len(bound) * problem.segment.order] * problem.count
+            )
+            rows(sign * G * ca.repmat(unit, 1, ns), unit * room, here)
+    if problem.path is not None:
+        path = problem.path
+        each = [path.ny * len(path.points_of(j)) for j in range(path.count)]
+        unit = ca.DM(np.tile(1 / path.output_scale, path.n_measured))
+        predicted, Q = at.path + at.path_sensitivity[:, 0], at.path_sensitivity[:, 1:]
+        rows(Q * ca.repmat(unit, 1, ns), -unit * predicted, _active(g, each) * ca.DM.ones(sum(each)))
     if not A:
         rows(ca.DM.zeros(1, ns), ca.DM.zeros(1), ca.DM.zeros(1))
     # The program is in the mean square of the residuals: the slack's weight is then one number for every window.

@@ -29,7 +29,8 @@ class LeastSquares:
 
     `points` are times [s] since a segment's start; the first is the start itself, which counts in the first segment only. `scale` (ns) are
     the nominal values of s = [x0; theta], `rate_scale` (nv) those of V, `output_scale` (ny) those of the outputs. `bounded` are the states
-    with bounds on the nodes. `noisy_parameters` are the unknown parameters that jump by process noise at the segments' ends, which a last
+    with bounds on the nodes. `path` (None: no constraints) is the same window with the path constraints in the outputs' place, at the nodes
+    and the sample instants. `noisy_parameters` are the unknown parameters that jump by process noise at the segments' ends, which a last
     measured point sees if `sees_jumps`; the segment's `noisy` states have some on their rates.
     """
 
@@ -47,6 +48,7 @@ class LeastSquares:
     bounded: tuple[int, ...] = ()
     noisy_parameters: tuple[int, ...] = ()
     output_sees_theta: bool = False
+    path: LeastSquares | None = None
 
     @property
     def nx(self) -> int:
@@ -128,6 +130,10 @@ class LeastSquares:
             "forced_bounded": s.held(nodes, list(self.bounded)),
             "forced_end": s.held(np.array([s.length])),
         }
+        if self.path is not None:
+            along = self.path.points_of(j)
+            there["path_offset"] = self.path.observed_noise(along)
+            there["path_forced"] = s.held(along, self.path.output.states)
         rows = [
             there[name] if name in there and size else np.zeros((size, len(self.noisy_states)))
             for name, size in self.data(j).sizes.items()
@@ -148,7 +154,8 @@ class LeastSquares:
 
     @property
     def segment_is_small(self) -> bool:
-        return self.n_rates <= SMALL and self.ny * len(self.points) * self.n_rates <= SMALL_POINTS
+        compared = self.ny * len(self.points) + (self.path.ny * len(self.path.points) if self.path is not None else 0)
+        return self.n_rates <= SMALL and compared * self.n_rates <= SMALL_POINTS
 
     @property
     def kind(self) -> Any:
@@ -171,8 +178,9 @@ class LeastSquares:
         return slice(j * samples * self.nu, ((j + 1) * samples + (self.segment.input_kind == "linear")) * self.nu)
 
     def data(self, j: int) -> Layout:
-        """What is known of segment j: forced responses and known terms at nodes and points, and the response at its end."""
-        N, m, rest = self.segment.order, len(self.points_of(j)), self.output_rest
+        """What is known of segment j: forced responses and known terms at nodes and points, the response at its end, and of the path."""
+        N, m, rest, path = self.segment.order, len(self.points_of(j)), self.output_rest, self.path
+        along = len(path.points_of(j)) if path is not None else 0
         return Layout(
             forced=self.rates.n_states * N,
             known=self.rates.n_known * N,
@@ -181,6 +189,9 @@ class LeastSquares:
             known_output=rest.n_known * m,
             forced_bounded=len(self.bounded) * N,
             forced_end=self.nx if self.has_ends else 0,
+            path_offset=path.ny * along if path is not None else 0,
+            path_forced=path.output_rest.n_states * along if path is not None else 0,
+            path_known=path.output_rest.n_known * along if path is not None else 0,
         )
 
     @property
@@ -221,6 +232,7 @@ def _segment_terms(problem: LeastSquares, j: int) -> ca.Function:
     t, p = ca.MX.sym("t"), ca.MX.sym("p", problem.n_parameters)
     U = ca.MX.sym("U", problem.inputs(0).stop)
     seen = ca.MX.sym("seen", len(points) * nu)
+    everything = list(range(problem.nx))
 
     def terms(part: Pointwise, inputs: ca.MX, times: np.ndarray) -> ca.MX:
         if part.n_known == 0 or len(times) == 0:
@@ -234,19 +246,28 @@ def _segment_terms(problem: LeastSquares, j: int) -> ca.Function:
     def forced(times: np.ndarray, states: list[int]) -> ca.MX:
         return response(s.forced(times, states), U)
 
-    everything = list(range(problem.nx))
-    offset = product(np.kron(np.eye(len(points)), problem.output.A), s.forced(points, everything))
-    through = np.kron(np.eye(len(points)), problem.output.B)
-    at_nodes = ca.MX(ca.DM(np.kron(s.inputs_at(nodes), np.eye(nu)))) @ U if nu else ca.MX(0, 1)
+    def observed(part: Split, inputs: ca.MX, times: np.ndarray) -> ca.MX:
+        """Of the linear part of outputs at `times`, what is forced and what passes through."""
+        offset = product(np.kron(np.eye(len(times)), part.A), s.forced(times, everything))
+        return response(offset, U) + response(np.kron(np.eye(len(times)), part.B), inputs)
+
+    def inputs_at(times: np.ndarray) -> ca.MX:
+        return ca.MX(ca.DM(np.kron(s.inputs_at(times), np.eye(nu)))) @ U if nu and len(times) else ca.MX(0, 1)
+
+    path, along = problem.path, problem.path.points_of(j) if problem.path is not None else np.empty(0)
+    there = inputs_at(along)
     data = problem.data(j).pack(
         {
             "forced": forced(nodes, s.split.states),
-            "known": terms(rates, at_nodes, nodes),
-            "offset": response(offset, U) + response(through, seen),
+            "known": terms(rates, inputs_at(nodes), nodes),
+            "offset": observed(problem.output, seen, points),
             "forced_output": forced(points, problem.output.states),
             "known_output": terms(rest, seen, points),
             "forced_bounded": forced(nodes, list(problem.bounded)),
             "forced_end": forced(np.array([s.length]) if problem.has_ends else np.empty(0), everything),
+            "path_offset": observed(path.output, there, along) if path is not None else ca.MX(0, 1),
+            "path_forced": forced(along, path.output.states) if path is not None else ca.MX(0, 1),
+            "path_known": terms(path.output_rest, there, along) if path is not None else ca.MX(0, 1),
         }
     )
     return ca.Function("segment_terms", [t, U, seen, p], [data])

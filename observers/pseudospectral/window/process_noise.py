@@ -122,11 +122,11 @@ def _stages(
         arguments = [xs, start, v, z, thetas[j], data, g["p"], g["y"][place], g["w"][place]]
         if problem.sees_jumps:
             arguments.append(physical[len(problem.noisy_states) :])
-        x_end, R_end, N, sol, z_new, _, _, X, G = functions[min(j, 1)](active[j], *arguments)
+        x_end, R_end, N, sol, z_new, _, _, X, G, P, Q = functions[min(j, 1)](active[j], *arguments)
         T = transition(R_end, stds[j])
         firm, outside = ca.MX(ca.DM.zeros(n, n)), ca.MX(0)
         if bounds is not None:
-            firm, outside = bounds[min(j, 1)](active[j], xs, thetas[j], X, G, firm_weight)
+            firm, outside = bounds[min(j, 1)](active[j], xs, thetas[j], X, G, P, Q, firm_weight)
         stages.append(_Stage(T, N, firm, sol, stds[j], outside))
         found_z.append(z_new)
         xs = x_end
@@ -262,27 +262,32 @@ def _reach(problem: LeastSquares) -> ca.Function:
 
 
 def _bounds(problem: LeastSquares, c: Constraints) -> list[ca.Function]:
-    """(xs, theta, X, G, weight) -> (rows of the bounds that are exceeded, as a matrix in [1; s; noise], the largest excess in nominal
-    units) of the first segment, whose first state is bounded too, and of a later one.
+    """(xs, theta, X, G, P, Q, weight) -> (rows of the bounds and path constraints that are exceeded, as a matrix in [1; s; noise], the
+    largest excess in nominal units) of the first segment, whose first state is bounded too, and of a later one.
     """
     nx, nt, nw = problem.nx, problem.n_theta, problem.n_noise
-    n, order, bounded = 1 + nx + nt + nw, problem.segment.order, list(problem.bounded)
+    n, order, bounded, path = 1 + nx + nt + nw, problem.segment.order, list(problem.bounded), problem.path
     functions = []
     for first in (True, False):
         xs, theta, weight = ca.MX.sym("xs", nx), ca.MX.sym("theta", nt), ca.MX.sym("weight")
         X, G = ca.MX.sym("X", len(bounded) * order), ca.MX.sym("G", len(bounded) * order, n)
+        limits = path.ny * len(path.points_of(0 if first else 1)) if path is not None else 0
+        P, Q = ca.MX.sym("P", limits), ca.MX.sym("Q", limits, n)
         own = list(range(nx)) if first else []
-        value = ca.vertcat(X, xs[own] if own else ca.MX(0, 1), theta)
-        lower = np.concatenate([np.tile(c.node_lower, order), c.lower[own], c.lower[nx:]])
-        upper = np.concatenate([np.tile(c.node_upper, order), c.upper[own], c.upper[nx:]])
-        unit = np.concatenate([np.tile(problem.scale[bounded], order), problem.scale[own], problem.scale[nx:]])
+        value = ca.vertcat(X, P, xs[own] if own else ca.MX(0, 1), theta)
+        lower = np.concatenate([np.tile(c.node_lower, order), np.full(limits, -np.inf), c.lower[own], c.lower[nx:]])
+        upper = np.concatenate([np.tile(c.node_upper, order), np.zeros(limits), c.upper[own], c.upper[nx:]])
+        path_unit = np.tile(path.output_scale, limits // path.ny) if path is not None else np.zeros(0)
+        unit = np.concatenate(
+            [np.tile(problem.scale[bounded], order), path_unit, problem.scale[own], problem.scale[nx:]]
+        )
         selected = np.zeros((len(own) + nt, n))
         selected[:, [1 + i for i in own] + [1 + nx + i for i in range(nt)]] = np.eye(len(own) + nt)
         beyond = ca.fmax(value - ca.DM(_finite(upper)), 0) - ca.fmax(ca.DM(_finite(lower)) - value, 0)
         weights = weight * ca.DM(1 / unit**2) * (beyond != 0)
-        matrix = groups.normal(value.numel(), n)(beyond, ca.vertcat(G, ca.DM(selected)), weights)
+        matrix = groups.normal(value.numel(), n)(beyond, ca.vertcat(G, Q, ca.DM(selected)), weights)
         result = [matrix, ca.norm_inf(beyond / ca.DM(unit))]
-        function = ca.Function("bounds_first" if first else "bounds_later", [xs, theta, X, G, weight], result)
+        function = ca.Function("bounds_first" if first else "bounds_later", [xs, theta, X, G, P, Q, weight], result)
         functions.append(_when(function, {}, {}))
     return functions
 
