@@ -20,13 +20,13 @@ from cosim.results import Result
 from observers.instance import Instance
 from observers.least_squares import least_squares
 from observers.model import Model, Variable
-from observers.riccati import riccati
+from observers.riccati import fastest, riccati, trade_off
 from reference_models.chen_yen import CHEN_YEN
 from reference_models.james_baras_5_1 import JAMES_BARAS_5_1
 from reference_models.james_baras_5_2 import JAMES_BARAS_5_2
 from reference_models.plant import plant
 
-TIMES = (1, 2, 3, 5, 10, 20)
+TIMES = (1, 2, 3, 5, 10, 20, 40)
 SUBSTEPS = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # [s]
 
 
@@ -52,6 +52,58 @@ def riccati_errors(runs: dict[str, Result]) -> None:
     axis.set_ylabel("|e|")
     axis.legend(frameon=False)
     save(figure, "riccati_errors")
+
+
+PENDULUM = Model(
+    name="pendulum",
+    states=[Variable("angle"), Variable("rate")],
+    outputs=[Variable("y")],
+    ode=lambda x, u, p, t: [x.rate, -ca.sin(x.angle) - 0.5 * x.rate],
+    output=lambda x, u, p, t: [x.angle],
+)
+
+
+def riccati_front() -> None:
+    """The pendulum's designs: the rate that each guarantees against the distance of the guess, and the best of them."""
+    front = trade_off(PENDULUM)
+    distances = np.geomspace(1e-4, 0.15, 400)
+    rates = np.array([[one.rate(d) for d in distances] for one in front])
+    figure, axis = plt.subplots(figsize=(7, 3))
+    axis.semilogx(distances, rates.T, color=GREY, linewidth=0.6)
+    axis.semilogx(distances, rates.max(axis=0), color=BLUE)
+    axis.set_xlabel("distance of the guess   (grey: each design, blue: the best)")
+    axis.set_ylabel("guaranteed rate [1/s]")
+    axis.set_ylim(0, None)
+    save(figure, "riccati_front")
+    for radius in (0.002, 0.01, 0.05, 0.1):
+        one = fastest(front, radius)
+        print(
+            f"pendulum, {radius:g} off: N = {one.design['N'][0]:.3g}, Q0 = {one.design['Q0'][0]:.3g}, "
+            f"guaranteed {one.rate(radius):.3g} 1/s, found {slowest_decay(one.design, radius):.3g}"
+        )
+    [best] = trade_off(JAMES_BARAS_5_1)
+    print(f"5.1, N = {best.design['N'][0]:.3g}: guaranteed {best.rate(math.inf):.3g} 1/s")
+
+
+def slowest_decay(design: dict[str, np.ndarray], radius: float, Ts: float = 0.01, stop: float = 5.0) -> float:
+    """The least decay rate [1/s] of (e' P e)^(1/2) over `stop`, from eight guesses that are `radius` off, through the sampled observer."""
+    component, found = riccati(PENDULUM, sample_time=Ts, expose=["Q"], **design), []
+    for angle in np.arange(8) * math.pi / 4:
+        guess = {"guess.angle": 2.0 - radius * math.cos(angle), "guess.rate": -0.5 - radius * math.sin(angle)}
+        run, true = Instance(component, guess), Instance(plant(PENDULUM), {"start.angle": 2.0, "start.rate": -0.5})
+
+        def measure(run: Instance = run, true: Instance = true) -> float:
+            e = [run.get(f"estimate.{v}") - true.get(f"x.{v}") for v in ("angle", "rate")]
+            Q = [[run.get(f"diagnostics.Q[{i},{j}]") for j in (1, 2)] for i in (1, 2)]
+            return float(np.sqrt(e @ np.linalg.solve(Q, e)))
+
+        first = measure()
+        for k in range(round(stop / Ts)):
+            run.set("y", true.get("y"))
+            for one in (run, true):
+                one.step(k * Ts, Ts)
+        found.append(math.log(first / measure()) / stop)
+    return min(found)
 
 
 def riccati_order() -> None:
@@ -91,6 +143,34 @@ def least_squares_errors(short: Result, long: Result) -> None:
     below.set_ylabel("contraction of an interval")
     below.set_xlabel("time [s]   (solid: actual, dotted: certified)")
     save(figure, "least_squares_errors")
+
+
+def varying_indices(result: Result) -> None:
+    """Two outputs that see an oscillation in turn: who sees it, the error, the contraction of the intervals."""
+    figure, (above, below) = plt.subplots(2, 1, figsize=(7, 4), sharex=True)
+    for sign, colour, label in ((1, BLUE, "indices 3, 1"), (-1, ORANGE, "indices 1, 3")):
+        seen = sign * np.sin(result.time) > 0
+        above.fill_between(
+            result.time,
+            0,
+            1,
+            where=seen,
+            color=colour,
+            alpha=0.12,
+            linewidth=0,
+            label=label,
+            transform=above.get_xaxis_transform(),
+        )
+    above.semilogy(result.time, error(result), color=GREEN)
+    above.set_ylabel("|e|")
+    above.legend(frameon=False)
+    for name, style in (("contraction", "-"), ("certified_contraction", ":")):
+        values = result[f"observer.diagnostics.{name}"]
+        below.step(result.time[values > 0], values[values > 0], style, where="post", color=GREEN, linewidth=1)
+    below.axhline(1.0, color=GREY, linewidth=0.8)
+    below.set_ylabel("contraction of an interval")
+    below.set_xlabel("time [s]   (solid: actual, dotted: certified)")
+    save(figure, "least_squares_indices")
 
 
 def needed_gain(T: float, starts: np.ndarray) -> tuple[float, float]:
@@ -183,7 +263,14 @@ def noisy_rms(products: tuple[float, ...]) -> dict[float, float]:
 
 
 if __name__ == "__main__":
-    systems = ("james_baras_5_1", "james_baras_5_2", "james_baras_5_2_far", "chen_yen_short", "chen_yen_long")
+    systems = (
+        "james_baras_5_1",
+        "james_baras_5_2",
+        "james_baras_5_2_far",
+        "chen_yen_short",
+        "chen_yen_long",
+        "chen_yen_alternating",
+    )
     results = {name: run(f"systems/{name}.ssp") for name in systems}
     for name, result in results.items():
         rows = [int(np.argmin(np.abs(result.time - t))) for t in TIMES if t <= result.time[-1] + 1e-9]
@@ -209,5 +296,7 @@ if __name__ == "__main__":
     print("noise 0.1, rms error against gamma p0:", {k: f"{v:.4f}" for k, v in noisy_rms((0.5, 1, 2, 4, 8)).items()})
     labels = ("5.1", "5.2, x0 = (1, -1), m0 = 0", "5.2, x0 = (3, 2), m0 = (-3, -2)")
     riccati_errors(dict(zip(labels, (results[name] for name in systems[:3]), strict=True)))
+    riccati_front()
     riccati_order()
     least_squares_errors(results["chen_yen_short"], results["chen_yen_long"])
+    varying_indices(results["chen_yen_alternating"])

@@ -202,6 +202,7 @@ OTHERS = {
     "van_der_pol_signed_elementary": _plant(
         "van_der_pol", 0.1, 106, 101, noise={"y": 1e-3}, inputs=_sines(0.1, v=lambda t: 0.5 * np.clip(t - 1, 0, 1))
     ),
+    "alternating_least_squares": _plant("alternating", 0.01, 3000, 1200, noise={"y1": 1e-3, "y2": 1e-3}),
     "silverbox_pseudospectral": SILVERBOX_SCENARIO,
 }
 CATALOGUE = PAPERS | {name: Entry(FMUS[name][0], scenario) for name, scenario in OTHERS.items()}

@@ -34,6 +34,7 @@ from observers.canonical_dae.gain import Design, choose, reduced_pair
 from observers.canonical_dae.interpolation import HIGHEST
 from observers.canonical_dae.ports import SINGULAR, disturbances, documentation, lambdas, structure
 from observers.canonical_dae.region import Region, region
+from observers.canonical_dae.stability import spectrum
 from observers.component import Component
 from observers.linearisation import prediction_step
 from observers.model import Model
@@ -83,8 +84,8 @@ def canonical_dae(
 
     Raises:
         ModelError: algebraic variables; outputs that a held input moves other than by a sum; unknown disturbances with which the DAE's
-            index is not 1; at a point of the model's region that is named, outputs that are not independent, or states that are not
-            observable and do not decay as fast as the gain promises.
+            index is not 1; at a point of the model's region that is named, outputs that are not independent, states that are not
+            observable and do not decay as fast as the gain promises, or linearised error dynamics that are not stable.
         ValueError: an option out of range.
     """
     refuse(model, "canonical_dae", "algebraic")
@@ -100,6 +101,7 @@ def canonical_dae(
     # How far left what no gain moves must lie: exact placement leaves nothing, a given gain is asked for stability.
     _check(dae, checked, math.inf if gain == "exact" else alpha if gain == "regional" else 0.0)
     chosen = choose(model, dae, checked, gain, poles, alpha, X)
+    stable = spectrum(dae, chosen, checked)
 
     method = sample.Method(model, dae, chosen, form == "bdf", order, degree)
     # Without a relaxation there is no residual to watch.
@@ -138,7 +140,7 @@ def canonical_dae(
         stop_time=stop_time,
         step_size=sample_time,
         counters=(SINGULAR.name, *(port.name for port in (*ports.COUNTERS, ports.RESTARTS))),
-        documentation=documentation(model, chosen, form, order, degree) + not_imposed(model),
+        documentation=documentation(model, chosen, stable, form, order, degree) + not_imposed(model),
     )
 
 

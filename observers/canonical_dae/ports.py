@@ -5,6 +5,7 @@ from __future__ import annotations
 from observers import ports
 from observers.canonical_dae.dae import Dae
 from observers.canonical_dae.gain import Gain
+from observers.canonical_dae.stability import Spectrum
 from observers.component import Port
 from observers.model import Model
 
@@ -59,7 +60,7 @@ def structure(form: str, order: int, degree: int) -> tuple[Port, ...]:
     )
 
 
-def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) -> str:
+def documentation(model: Model, gain: Gain, stable: Spectrum | None, form: str, order: int, degree: int) -> str:
     """The method in short, as HTML."""
     how = (
         f"by Runge-Kutta steps of its w-form, with a polynomial of degree {degree} through the last {degree + 1} samples"
@@ -69,7 +70,7 @@ def documentation(model: Model, gain: Gain, form: str, order: int, degree: int) 
     return (
         f"<p>The model {model.name} and its measurements, relaxed by lambda to a differential-algebraic equation of index 1 "
         f"(Nikoukhah, INRIA RR-2677, 1995), are integrated {how}; gain: {gain.description}. Connect the measurements and the known "
-        "inputs, and step with at most the sample time.</p>"
+        f"inputs, and step with at most the sample time.</p>{stable.html() if stable else ''}"
         "<p>The outputs of <code>filtered.*</code> satisfy the last measurement exactly; <code>estimate.*</code> follows the model "
         "from there to the current time. <code>diagnostics.lambda</code> is a residual, <code>diagnostics.fault</code> a threshold "
         "with persistence on it. <code>diagnostics.status</code> says whether the estimate can be trusted.</p>"

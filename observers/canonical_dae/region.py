@@ -56,11 +56,12 @@ class Region:
                 limit = f", which is not left of {0 - alpha:g}" if math.isfinite(alpha) else ""
                 raise ModelError(
                     f"{method}: {what} of model '{self.model.name}' is not observable at {self.describe(point)}: its observability "
-                    f"matrix has rank {n - len(hidden)}, not {n}, and no gain moves its eigenvalue {_shown(slowest)}{limit}"
+                    f"matrix has rank {n - len(hidden)}, not {n}, and no gain moves its eigenvalue {shown(slowest)}{limit}"
                 )
 
 
-def _shown(eigenvalue: complex) -> str:
+def shown(eigenvalue: complex) -> str:
+    """`-1 +- 2 i`, or `-1`."""
     return f"{eigenvalue.real:.4g}" + (f" +- {abs(eigenvalue.imag):.4g} i" if abs(eigenvalue.imag) > 1e-9 else "")
 
 

@@ -17,6 +17,7 @@ What deviates from the paper, and why:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -25,13 +26,11 @@ import casadi as ca
 import numpy as np
 
 from observers.component import Enumeration, Port
-from observers.linearisation import Linearisation
-from observers.model import Model
 from observers.numerics.exact import in_high_precision, matrix, rounded, table
 from observers.riccati.design import UNKNOWN
 from observers.riccati.detectability import by_comparison, by_full_rank, by_injection
 from observers.riccati.interval import Range
-from observers.riccati.suprema import cells, downward, largest, norm, point, second, supremum, upward
+from observers.riccati.suprema import Suprema, downward, largest, norm, point, supremum, upward
 
 LIFT = 1 + 1e-14  # covers the rounding of a few operations on scalars
 
@@ -51,7 +50,7 @@ NONE, OUTSIDE, INSIDE, ANYWHERE = 1, 2, 3, 4
 CERTIFIED = (
     Port(
         "diagnostics.certified",
-        "is convergence guaranteed from the guess?",
+        "is convergence guaranteed from the guess? (of the continuous-time observer, the limit of fast sampling)",
         kind="Enumeration",
         start=1,
         enumeration=CERTIFICATE,
@@ -59,7 +58,7 @@ CERTIFIED = (
     ),
     Port(
         "diagnostics.guaranteed_rate",
-        "guaranteed exponential decay of the error; 0: none",
+        "guaranteed exponential decay of the error (of the continuous-time observer); 0: none",
         "1/s",
         variability="discrete",
     ),
@@ -100,6 +99,14 @@ class Certificate:
     @property
     def exists(self) -> bool:
         return math.isfinite(self.q) and math.isfinite(self.p)
+
+    def slack(self, distance: Any) -> Any:
+        """r0 / q^2 - |P0^1/2| |e0| C of Theorem 2.1 for a guess `distance` off, a number or a CasADi expression."""
+        return self.r0 / self.q**2 - math.sqrt(self.P0) * self.C * distance
+
+    def rate(self, distance: Any) -> Any:
+        """The guaranteed rate [1/s], 0: none, where the certificate exists: q / 2 times the slack, or times delta (Corollary 2.1)."""
+        return ca.fmax(self.slack(distance), max(self.delta, 0.0)) * self.q / 2
 
     def distance(self, guess: Any, initial_error: Any) -> Any:
         """The largest |x0 - m0| that bounds and `initial_error` leave, for a CasADi column `guess`."""
@@ -153,67 +160,61 @@ class Certificate:
         )
 
 
-def certificate(model: Model, line: Linearisation, N: np.ndarray, R: np.ndarray, Q0: np.ndarray) -> Certificate:
-    """The certificates of `model` (linearised: `line`) with the design matrices N, R, Q0."""
-    region, obstacle = cells(model, line)
+def certificate_of(over: Suprema, N: np.ndarray, R: np.ndarray) -> Callable[[np.ndarray], Certificate]:
+    """certificate(Q0) of a model with the design matrices N, R, Q0; what Q0 has no part in is computed once."""
     R_inverse = _inverse(R)
-    pairs = [(c.A, Range(R_inverse @ c.Dh.middle, abs(R_inverse) @ c.Dh.radius)) for c in region]
-    A, Dh, H = (
-        supremum(map(norm, xs)) for xs in ([c.A for c in region], [c.Dh for c in region], [h for _, h in pairs])
-    )
-    D2f, D2h = supremum(second(c.D2f) for c in region), supremum(second(c.D2h) for c in region)
+    pairs = [(c.A, Range(R_inverse @ c.Dh.middle, abs(R_inverse) @ c.Dh.radius)) for c in over.cells]
+    A, Dh, D2f, D2h, a = over.A, over.Dh, over.D2f, over.D2h, over.a
+    H = supremum(norm(h) for _, h in pairs)
     NN = point(N @ N.T)
     r0 = max(downward(-largest(Range(-NN.middle, NN.radius))), 0.0)
-    Q0_norm, least = upward(largest(point(Q0))), -largest(point(-Q0))
-    P0 = upward(1 / least) if least > 0 else math.inf
-    a = supremum(largest(Range(-c.A.middle, c.A.radius)) for c in region)
-    p = upward(max(P0, (a + math.sqrt(a**2 + r0 * H**2)) / r0 * LIFT)) if math.isfinite(a) and r0 > 0 else math.inf
-
+    growth = (a + math.sqrt(a**2 + r0 * H**2)) / r0 * LIFT if math.isfinite(a) and r0 > 0 else math.inf
     s, alpha0, forcing = by_injection(pairs, A, H, upward(norm(NN)))
-    compared = by_comparison(pairs, A, N, Q0)
-    full_rank = by_full_rank(pairs, norm(NN), Q0_norm) if len(R) >= len(N) else math.inf
-    q, q_paper = min(max(Q0_norm, forcing), compared, full_rank), upward(Q0_norm + forcing)
-    if not (obstacle or math.isfinite(q)):
-        obstacle = (
-            "uniform detectability was not found, neither (3.3) with Lambda = -s H' nor in other constant coordinates"
-        )
-    if not (obstacle or math.isfinite(p)):
-        obstacle = "N N' or Q0 is singular to working precision"
+    compared = by_comparison(pairs, A, N)
+    full_rank = by_full_rank(pairs, norm(NN)) if len(R) >= len(N) else math.inf
     R1 = norm(point(R_inverse)) ** 2
 
-    def bracket(q: float) -> float:
-        return upward((_times(math.sqrt(p), D2f) + _times(math.sqrt(q) * R1, _times(Dh, D2h))) * LIFT)
+    def certificate(Q0: np.ndarray) -> Certificate:
+        Q0_norm, least = upward(largest(point(Q0))), -largest(point(-Q0))
+        P0 = upward(1 / least) if least > 0 else math.inf
+        p = upward(max(P0, growth))
+        q = min(max(Q0_norm, min(forcing, full_rank)), compared(Q0))
+        q_paper = upward(Q0_norm + forcing)
+        obstacle = over.obstacle
+        if not (obstacle or math.isfinite(q)):
+            obstacle = "uniform detectability was not found, neither (3.3) with Lambda = -s H' nor in other constant coordinates"
+        if not (obstacle or math.isfinite(p)):
+            obstacle = "N N' or Q0 is singular to working precision"
 
-    def rho(q: float) -> float:
-        if not (math.isfinite(p) and math.isfinite(q)):
-            return 0.0
-        return downward(r0 / (q**2 * math.sqrt(P0)) / bracket(q) / LIFT) if bracket(q) else math.inf
+        def bracket(q: float) -> float:
+            return upward((_times(math.sqrt(p), D2f) + _times(math.sqrt(q) * R1, _times(Dh, D2h))) * LIFT)
 
-    def delta(q: float) -> float:
-        against = (4 * p * A if D2f else 0.0) + (4 * R1 * Dh**2 if D2h else 0.0)
-        return downward(r0 / q**2 / LIFT - against * LIFT)
+        def rho(q: float) -> float:
+            if not (math.isfinite(p) and math.isfinite(q)):
+                return 0.0
+            return downward(r0 / (q**2 * math.sqrt(P0)) / bracket(q) / LIFT) if bracket(q) else math.inf
 
-    regions = [(v.min, v.max) for v in (*line.variables, *model.inputs)]
-    return Certificate(
-        A=A, H=H, Dh=Dh, D2f=D2f, D2h=D2h, alpha0=alpha0, s=s, r0=r0, P0=P0, p=p, q=q, q_paper=q_paper, C=bracket(q),
-        rho=rho(q), rho_paper=rho(q_paper), delta=delta(q), delta_paper=delta(q_paper), obstacle=obstacle,
-        low=np.array([r[0] for r in regions]), high=np.array([r[1] for r in regions]), n=line.m.numel(),
-    )  # fmt: skip
+        def delta(q: float) -> float:
+            against = (4 * p * A if D2f else 0.0) + (4 * R1 * Dh**2 if D2h else 0.0)
+            return downward(r0 / q**2 / LIFT - against * LIFT)
+
+        return Certificate(
+            A=A, H=H, Dh=Dh, D2f=D2f, D2h=D2h, alpha0=alpha0, s=s, r0=r0, P0=P0, p=p, q=q, q_paper=q_paper, C=bracket(q),
+            rho=rho(q), rho_paper=rho(q_paper), delta=delta(q), delta_paper=delta(q_paper), obstacle=obstacle,
+            low=over.low, high=over.high, n=over.n,
+        )  # fmt: skip
+
+    return certificate
 
 
 def certify(known: Certificate, distance: Any, holds: Any) -> tuple[Any, Any]:
-    """(diagnostics.certified, diagnostics.guaranteed_rate) for a guess at most `distance` off; `holds` = 0 makes both void.
-
-    The rate is q / 2 times r0 / q^2 - |P0^1/2| |e0| C (Theorem 2.1) or delta (Corollary 2.1), see the module's docstring.
-    """
+    """(diagnostics.certified, diagnostics.guaranteed_rate) for a guess at most `distance` off; `holds` = 0 makes both void."""
     if not known.exists:
         return ca.MX(NONE), ca.MX(0)
-    slack = known.r0 / known.q**2 - math.sqrt(known.P0) * known.C * distance
-    rate = ca.fmax(slack, max(known.delta, 0.0)) * known.q / 2
-    code = ca.if_else(slack > 0, INSIDE, OUTSIDE)
+    code = ca.if_else(known.slack(distance) > 0, INSIDE, OUTSIDE)
     if known.delta > 0 or known.C == 0:
         code = ca.MX(ANYWHERE)
-    return ca.if_else(holds, code, NONE), ca.if_else(holds, rate, 0)
+    return ca.if_else(holds, code, NONE), ca.if_else(holds, known.rate(distance), 0)
 
 
 def certificate_ports(known: Certificate) -> tuple[Port, ...]:

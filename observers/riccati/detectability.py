@@ -59,10 +59,10 @@ def by_injection(pairs: Pairs, A: float, H: float, NN: float) -> tuple[float, fl
     return best
 
 
-def by_comparison(pairs: Pairs, A: float, N: np.ndarray, Q0: np.ndarray) -> float:
-    """The bound of |Q| by X(theta) with the smallest theta that satisfies (*); inf where none within FORGETTING does."""
+def by_comparison(pairs: Pairs, A: float, N: np.ndarray) -> Callable[[np.ndarray], float]:
+    """bound(Q0) of |Q| by X(theta) with the smallest theta that satisfies (*); inf where none within FORGETTING does."""
     if not (math.isfinite(A) and all(np.all(np.isfinite(h.radius)) for _, h in pairs)):
-        return math.inf
+        return lambda Q0: math.inf
     candidate = _candidates(pairs, A, N)
     best, below = None, 0.0
     for theta in FORGETTING * (A or 1.0):
@@ -71,7 +71,7 @@ def by_comparison(pairs: Pairs, A: float, N: np.ndarray, Q0: np.ndarray) -> floa
             break
         below = theta
     if best is None:
-        return math.inf
+        return lambda Q0: math.inf
     for _ in range(BISECTIONS if below else 0):
         middle = math.sqrt(below * theta)
         found = candidate(middle)
@@ -81,17 +81,21 @@ def by_comparison(pairs: Pairs, A: float, N: np.ndarray, Q0: np.ndarray) -> floa
             theta, best = middle, found
     X, T = best
     unit = -largest(point(-product(T, X, T.T)))  # 1 but for rounding
-    factor = max(1.0, largest(point(product(T, Q0, T.T))) / unit)
-    return upward(factor * largest(point(X)) * (1 + MARGIN))
+
+    def bound(Q0: np.ndarray) -> float:
+        factor = max(1.0, largest(point(product(T, Q0, T.T))) / unit)
+        return upward(factor * largest(point(X)) * (1 + MARGIN))
+
+    return bound
 
 
-def by_full_rank(pairs: Pairs, NN: float, Q0: float) -> float:
-    """The bound of |Q| where H has full column rank, (3.4), by comparison with a scalar Riccati equation; inf where it has not."""
+def by_full_rank(pairs: Pairs, NN: float) -> float:
+    """The bound of |Q| from a smaller Q0 where H has full column rank, (3.4), by comparison with a scalar Riccati equation; else inf."""
     rank = downward(min(smallest_gain(h) for _, h in pairs))
     growth = supremum(largest(a) for a, _ in pairs)
     if not (rank > 0 and math.isfinite(growth)):
         return math.inf
-    return upward(max(Q0, (growth + math.sqrt(growth**2 + rank**2 * NN)) / rank**2 * (1 + 1e-14)))
+    return upward((growth + math.sqrt(growth**2 + rank**2 * NN)) / rank**2 * (1 + 1e-14))
 
 
 def _candidates(pairs: Pairs, A: float, N: np.ndarray) -> Callable[[float], tuple[np.ndarray, np.ndarray] | None]:

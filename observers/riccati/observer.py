@@ -31,9 +31,10 @@ from observers.linearisation import Linearisation, chosen_step, linearisation, r
 from observers.model import Model
 from observers.refusal import not_imposed, refuse
 from observers.riccati import steps
-from observers.riccati.certificates import CERTIFIED, Certificate, certificate, certificate_ports
+from observers.riccati.certificates import CERTIFIED, Certificate, certificate_of, certificate_ports
 from observers.riccati.design import UNKNOWN, Given, design
 from observers.riccati.rosenbrock import along
+from observers.riccati.suprema import suprema_of
 from observers.status import shown
 from observers.tables import refuse_tables_that_end
 from observers.vigilance import TUNING
@@ -104,7 +105,7 @@ def riccati(
     line = linearisation(model)
     deviations = {"process_noise": process_noise, "measurement_noise": measurement_noise, "initial_std": initial_std}
     chosen = design(model, line.variables, sample_time, {"N": N, "R": R, "Q0": Q0}, deviations)
-    known = certificate(model, line, chosen.N.start, chosen.R.start, chosen.Q0.start)
+    known = certificate_of(suprema_of(model, line), chosen.N.start, chosen.R.start)(chosen.Q0.start)
     moving = free_motion(model, max_step)
     tableau, explicit = chosen_step(model, moving, max_step, order)
     exponential = max_step

@@ -38,6 +38,36 @@ class Cell:
     D2h: list[Range]
 
 
+@dataclass(frozen=True)
+class Suprema:
+    """What is known of a model's derivatives over its bounded region, whatever the design.
+
+    A, Dh, D2f, D2h: suprema of spectral norms; a: sup lmax(-(A + A') / 2). obstacle: why they are infinite, or "". low, high: bounds of
+    (m, u), m of n entries.
+    """
+
+    cells: list[Cell]
+    A: float
+    Dh: float
+    D2f: float
+    D2h: float
+    a: float
+    obstacle: str
+    low: np.ndarray
+    high: np.ndarray
+    n: int
+
+
+def suprema_of(model: Model, line: Linearisation) -> Suprema:
+    """The suprema over the region of `cells`."""
+    found, obstacle = cells(model, line)
+    A, Dh = supremum(norm(c.A) for c in found), supremum(norm(c.Dh) for c in found)
+    D2f, D2h = supremum(second(c.D2f) for c in found), supremum(second(c.D2h) for c in found)
+    a = supremum(largest(Range(-c.A.middle, c.A.radius)) for c in found)
+    regions = np.array([(v.min, v.max) for v in (*line.variables, *model.inputs)])
+    return Suprema(found, A, Dh, D2f, D2h, a, obstacle, regions[:, 0], regions[:, 1], line.m.numel())
+
+
 def cells(model: Model, line: Linearisation) -> tuple[list[Cell], str]:
     """The cells of the model's bounded region, and why their ranges are infinite where they are ("" where all are finite).
 
