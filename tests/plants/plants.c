@@ -214,6 +214,8 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
 {
     Plant *m = c;
     double d[MOST];
+    if (m->mode != INITIALIZATION && m->mode != EVENT && m->mode != CONTINUOUS)
+        return fmi2Error;
     derivatives(m, d);
     for (size_t i = 0; i < n; i++) {
         unsigned group = vr[i] / 100, k = vr[i] % 100;
@@ -258,6 +260,8 @@ fmi2Status fmi2EnterEventMode(fmi2Component c)
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
     Plant *m = c;
+    if (m->mode != EVENT)
+        return fmi2Error;
     memset(info, 0, sizeof *info);
     if (m->kind == TIME_EVENT || (m->kind == LATE_EVENT && m->events > 0)) {
         info->nextEventTimeDefined = fmi2True;
@@ -270,7 +274,10 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
 {
-    ((Plant *)c)->mode = CONTINUOUS;
+    Plant *m = c;
+    if (m->mode != EVENT)
+        return fmi2Error;
+    m->mode = CONTINUOUS;
     return fmi2OK;
 }
 
@@ -278,6 +285,8 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set, fmi2
 {
     Plant *m = c;
     (void)no_set;
+    if (m->mode != CONTINUOUS)
+        return fmi2Error;
     m->kept = m->x[0];
     m->earliest = m->t;
     *event = m->kind == CHOOSES ? fmi2True : fmi2False;
@@ -288,7 +297,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set, fmi2
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
 {
     Plant *m = c;
-    if (time < m->earliest)
+    if (time < m->earliest || (m->mode != CONTINUOUS && m->mode != EVENT))
         return fmi2Error;
     m->t = time;
     return fmi2OK;
@@ -305,7 +314,10 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
 {
-    memcpy(x, ((Plant *)c)->x, n * sizeof *x);
+    Plant *m = c;
+    if (m->mode != CONTINUOUS || n != (size_t)m->n)
+        return fmi2Error;
+    memcpy(x, m->x, n * sizeof *x);
     return fmi2OK;
 }
 
@@ -449,6 +461,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         fmi2Real value[])
 {
     Plant *m = c;
+    if (m->mode != CONTINUOUS)
+        return fmi2Error;
     for (size_t i = 0; i < n; i++) {
         value[i] = 0;
         for (size_t k = 0; k < n_known; k++) {
