@@ -88,6 +88,10 @@ def along(model: Model, at: list[object], seeds: list[object]) -> np.ndarray:
 def test_a_derivative_in_any_direction_is_that_of_the_formulas(modelled: Modelled, slopes: bool) -> None:
     """Seeds of states, input, both parameters and time at once: of like sizes, of sizes eight decades apart, of one alone, of none."""
     model, twin = modelled("pendulum", slopes=slopes), plant_fmu.pendulum()
+    for mass, stiffness in ((2.0, 40.0), (3.0, 40.0), (3.0, 50.0), (2.0, 50.0), (2.0, 40.0)):
+        point = [[1.1, 0.4, 0.2, -0.3], [0.3], [mass], [stiffness], [1.0]]
+        found, wanted = (rates(one)(*point).full() for one in (model, twin))
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-13)
     random = np.random.default_rng(2)
     at = [[1.1, 0.4, 0.2, -0.3], [0.3], [2.0], [40.0], [1.0]]
     sizes = [
@@ -103,6 +107,14 @@ def test_a_derivative_in_any_direction_is_that_of_the_formulas(modelled: Modelle
         parts: list[object] = [seed[:4], seed[4], seed[5], seed[6], seed[7]]
         found, wanted = along(model, at, parts), along(twin, at, parts)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-8 * max(1.0, np.abs(wanted).max()))
+
+
+def test_a_plant_of_which_neither_input_nor_parameter_is_chosen_has_their_start_values(modelled: Modelled) -> None:
+    model = modelled("van_der_pol", inputs=[], unknown_parameters=[])
+    found = rates(model)([1.0, 0.5], [], [], [], 0.0).full().ravel()
+    np.testing.assert_allclose(found, van_der_pol([1.0, 0.5], 0.0, 1.5), rtol=0, atol=1e-14)
+    slope = along(model, [[1.2, 0.5], [], [], [], 0.0], [[1.0, 0.0], [], [], [], 0.0])
+    np.testing.assert_allclose(slope, [0.0, -2 * 1.5 * 1.2 * 0.5 - 1], rtol=0, atol=1e-8)
 
 
 def test_at_the_edge_of_what_the_plant_answers_the_difference_is_to_the_other_side(
