@@ -215,6 +215,32 @@ def test_at_most_a_thousand_variables_are_compared_outputs_first(tmp_path: Path)
     assert [variable.name for variable in watched[:2]] == ["l2", "l5"]
 
 
+def test_a_note_says_why_rules_were_not_applied(make: Make, sound: Contents) -> None:
+    archive = ["zip-sound", "zip-method", "zip-path", "zip-link", "xml-schema"]
+    report = check(make({BINARY: None}, {"<Integer/>": "<Integer size='3'/>"}))
+    assert report.notes == ["modelDescription.xml is not valid, so no further rule was applied"]
+    assert report.checked == archive
+    report = check(make({"../a": b""}))
+    assert report.notes == ["the archive is not sound, so the FMU was not unpacked"]
+    layered = {"ls-ref-manifest", "ls-ref-checksum"}
+    assert report.checked == [*archive, *(rule for rule in STATIC if rule not in {*archive, *layered})]
+    report = check(make({BINARY: sound[BINARY].replace(b"fmi2CancelStep\0", b"fmi2CancelStop\0")}))
+    assert report.notes == [f"{BINARY} is not sound: co-simulation was not driven"]
+    report = check(make({BINARY: sound[BINARY].replace(b"GLIBC_2.2.5\0", b"GLIBC_9.2.5\0")}))
+    assert report.notes == ["the library does not load, so no further rule was applied"]
+    assert report.checked[-1] == "load"
+
+
+def test_an_unsound_library_for_another_machine_keeps_none_from_being_driven(make: Make) -> None:
+    heard: list[str] = []
+    report = check(make({"binaries/win64/broken.dll": b"none"}), heard.append)
+    assert [(found.rule, found.subject) for found in report.findings] == [
+        ("binary-format", "binaries/win64/broken.dll")
+    ]
+    assert report.notes == [] and "state-serialize" in report.checked
+    assert heard[:2] == ["static", "load"] and heard[-1] == "state-serialize" and set(heard[1:]) <= set(report.checked)
+
+
 def test_after_three_hangs_no_more_are_waited_for(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "TIMEOUT", 1.0)
     report = check(make(defect="hangs-when-it-refuses"))
