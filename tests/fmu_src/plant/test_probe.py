@@ -200,3 +200,25 @@ def test_an_event_that_a_step_wants_is_told_with_its_time() -> None:
     plant.event_after = 3
     with pytest.raises(Refused, match=r"it wants an event after the step to t = 3$"):
         probe._complete_steps(plant, START, np.ones(3), START)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("resets", [True, False])
+def test_after_an_error_the_plant_is_reset_or_made_anew_with_the_parameters_that_it_had(resets: bool) -> None:
+    calls: list[object] = []
+
+    def reset() -> None:
+        calls.append("reset")
+        if not resets:
+            raise FMICallException("fmi2Reset", 3)
+
+    slave = SimpleNamespace(
+        reset=reset,
+        component=77,
+        fmi2FreeInstance=lambda component: calls.append(("free", component)),
+        instantiate=lambda callbacks: calls.append(("instantiate", callbacks)),
+    )
+    plant = SimpleNamespace(slave=slave, callbacks="callbacks", values="values")
+    plant.initialise = lambda values: calls.append(("initialise", values))
+    probe.Plant.restart(plant)  # type: ignore[arg-type]
+    anew = [] if resets else [("free", 77), ("instantiate", "callbacks")]
+    assert calls == ["reset", *anew, ("initialise", "values")]
