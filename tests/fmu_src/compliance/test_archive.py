@@ -14,11 +14,12 @@ from fmu_src.compliance.files.package import Package, check_archive, open_packag
 DOCUMENT = '<fmiModelDescription fmiVersion="{}"/>'
 
 
-def packed(path: Path, *entries: zipfile.ZipInfo | str, version: str = "2.0") -> Package:
+def packed(path: Path, *entries: zipfile.ZipInfo | str | tuple[str, bytes], version: str = "2.0") -> Package:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", DOCUMENT.format(version))
         for entry in entries:
-            archive.writestr(entry, "content")
+            name, content = entry if isinstance(entry, tuple) else (entry, b"content")
+            archive.writestr(name, content)
     return open_package(path)
 
 
@@ -30,6 +31,16 @@ def test_a_path_that_leads_elsewhere_is_found(tmp_path: Path, name: str) -> None
 @pytest.mark.parametrize("name", ["a", "a/b.c", ".hidden/a", "a/..b", "a..b/c", "a/b:c", "resources/", "ä b/c"])
 def test_a_path_within_is_not(tmp_path: Path, name: str) -> None:
     assert told(check_archive(packed(tmp_path / "x.fmu", name))) == []
+
+
+@pytest.mark.parametrize("size", [0, 1, 1 << 20, (1 << 20) + 1])
+def test_a_file_of_any_size_is_intact_until_a_byte_changes(tmp_path: Path, size: int) -> None:
+    package = packed(tmp_path / "x.fmu", ("file", b"\xf7" * size))
+    assert told(check_archive(package)) == []
+    content = package.path.read_bytes()
+    if size:
+        package.path.write_bytes(content.replace(b"\xf7" * size, b"\xf7" * (size - 1) + b"\xf8", 1))
+        assert told(check_archive(package)) == [("zip-sound", "file", "a damaged one")]
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
