@@ -69,7 +69,7 @@ def ends(how: str, code: int) -> Iterator[Finding]:
         ("exit", 0, "the end of the process (exit code 0) in its start"),
         ("exit", 3, "the end of the process (exit code 3) in its start"),
         ("signal", signal.SIGKILL, "a crash (SIGKILL) in its start"),
-        ("signal", signal.SIGHUP, "a crash (SIGHUP) in its start"),
+        ("signal", signal.SIGSEGV, "a crash (SIGSEGV) in its start"),
         ("signal", 40, "a crash (signal 40) in its start"),
     ],
 )
