@@ -19,11 +19,15 @@ from fmpy.fmi2 import (
     fmi2CallbackLoggerTYPE,
 )
 
+GUARD = bytes(range(0xA0, 0xB0))  # behind each block of memory
 HEADER = 144  # bytes of a serialised state in front of the component's: Header in shell/state.c
 
 
 class Slave:
-    """An instance of an FMU: variables by name, calls by fmpy, messages (status, category, text), memory counted."""
+    """An instance of an FMU: variables by name, calls by fmpy, messages (status, category, text), memory counted.
+
+    `blocks`: those taken and not given back, or written beyond their end.
+    """
 
     def __init__(self, folder: Path, name: str = "instance", guid: str | None = None, logging: bool = True):
         description = fmpy.read_model_description(str(folder))
@@ -44,13 +48,18 @@ class Slave:
         def log(_: Any, __: bytes, status: int, category: bytes, message: bytes) -> None:
             self.messages.append((status, category.decode(), message.decode()))
 
+        ends: dict[int, int] = {}
+
         def allocate(count: int, size: int) -> int:
-            block: int = libc.calloc(count, size)
+            block: int = libc.calloc(1, count * size + len(GUARD))
+            ends[block] = block + count * size
+            ctypes.memmove(ends[block], GUARD, len(GUARD))
             self.blocks.add(block)
             return block
 
         def free(block: int) -> None:
-            self.blocks.remove(block)
+            if ctypes.string_at(ends.pop(block), len(GUARD)) == GUARD:
+                self.blocks.remove(block)
             libc.free(block)
 
         self.callbacks = fmi2CallbackFunctions()

@@ -167,7 +167,7 @@ def read(path: Path) -> PlantDescription:
         dependencies={u.variable.name: frozenset(v.name for v in u.dependencies) for u in said},
         indicators=int(found.numberOfEventIndicators or 0),
         directional=bool(interface.providesDirectionalDerivative),
-        completes_steps=not getattr(interface, "completedIntegratorStepNotNeeded", True),
+        completes_steps=bool(getattr(interface, "needsCompletedIntegratorStep", False)),
         capabilities={
             flag: "true"
             for flag in ("needsExecutionTool", "canBeInstantiatedOnlyOncePerProcess")

@@ -28,7 +28,7 @@ from observers.component import Component
 
 _NAME = re.compile(r"(plant_[0-9a-f]{16})_(?:rate|measure)")
 _LICENSES = "documentation/licenses/"
-_PREFIX_H = """\
+PREFIX_H = """\
 #ifndef PREFIX_H
 #define PREFIX_H
 #define PREFIX(name) own_##name
@@ -139,7 +139,7 @@ def invite(
         return _known[name]
     sources = plant_sources() | {n: c for n, c in fixed_sources().items() if n.startswith("fmi2")}
     sources |= {
-        "prefix.h": _PREFIX_H.encode(),
+        "prefix.h": PREFIX_H.encode(),
         "plant_tables.c": tables,
         "interpreter.c": interpreter(name, plant, chosen, behaviour),
     }

@@ -86,6 +86,7 @@ AREAS = {
             *SHARED,
             "tests/observers/pseudospectral/test_pseudospectral.py",
             "tests/observers/pseudospectral/test_arrival_cost.py",
+            "tests/observers/pseudospectral/test_forgotten_past.py",
             "tests/observers/pseudospectral/test_bounded_noise.py",
             "tests/observers/pseudospectral/test_constraints.py",
             "tests/observers/pseudospectral/test_wandering_parameter.py",

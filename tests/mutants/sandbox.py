@@ -82,7 +82,8 @@ class Sandbox:
         if not mutant.file.endswith((".c", ".h")):
             return True
         with self._faulty(mutant):
-            return self._fork(_compile_shell, 120.0, self.folder / "compiler.txt") == 0
+            compile_it = _compile_plant if mutant.file.startswith("fmu_src/native/plant/") else _compile_shell
+            return self._fork(compile_it, 120.0, self.folder / "compiler.txt") == 0
 
     def run(self, mutant: Mutant | None, area: Area, seconds: float, times: Path) -> tuple[str, str]:
         """(outcome, the first test that failed): the area's tests on the tree with this fault in it, or with none."""
@@ -156,6 +157,31 @@ def _compile_shell() -> int:
     with tempfile.TemporaryDirectory():
         try:
             _native(sampled_toy(), ["host"])
+        except ExportError:
+            return 1
+    return 0
+
+
+def _compile_plant() -> int:
+    """0 if the C around a plant compiles, for a plant without variables."""
+    import tempfile
+
+    from fmu_src.errors import ExportError
+    from fmu_src.native.compiler import compile_library
+    from fmu_src.native.sources import fixed_sources
+    from fmu_src.plant.guest import PREFIX_H, libraries
+    from fmu_src.plant.sources import plant_sources
+    from fmu_src.platforms import resolve
+
+    sources = plant_sources() | {n: content for n, content in fixed_sources().items() if n.startswith("fmi2")}
+    sources |= {"prefix.h": PREFIX_H.encode()}
+    sources["tables.c"] = b'#include "plant.h"\nconst PlantTables plant_tables = {0};\n'
+    (host,) = resolve(["host"])
+    with tempfile.TemporaryDirectory() as folder:
+        for name, content in sources.items():
+            (Path(folder) / name).write_bytes(content)
+        try:
+            compile_library("plant", Path(folder), host, libraries(host))
         except ExportError:
             return 1
     return 0

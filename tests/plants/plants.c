@@ -1,6 +1,7 @@
 /* Plants for model exchange, each with something of its own: which one it is says the GUID. Value references: states from 0, their
    derivatives from 100, parameters from 200, inputs from 300, outputs from 400. */
 #include <math.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,6 +21,7 @@ typedef struct {
     Kind kind;
     int places; /* of a rod */
     int n, calls, side;
+    bool logging;
     Mode mode;
     double t, earliest, x[MOST], p[4], u[2], kept;
     int events;
@@ -66,13 +68,13 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     (void)name;
     (void)resources;
     (void)visible;
-    (void)logging;
     if (type != fmi2ModelExchange || strncmp(resources, "file:///", 8) != 0)
         return NULL;
     Plant *m = callbacks->allocateMemory(1, sizeof *m);
     if (!m)
         return NULL;
     m->callbacks = callbacks;
+    m->logging = logging;
     for (size_t k = 0; k < N_KINDS; k++) /* any other name is one more van der Pol */
         if (strcmp(guid, KINDS[k]) == 0)
             m->kind = (Kind)k;
@@ -193,13 +195,16 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real d[], size_t n)
     m->calls++;
     if (m->kind == CRASH && m->calls == 3)
         abort();
-    if (m->kind == PRINTS)
+    if (m->kind == PRINTS) {
         printf("called %d times\n", m->calls);
+        m->callbacks->logger(m->callbacks->componentEnvironment, "plant", fmi2OK, "said", "whether asked or not");
+    }
     if (m->x[0] > 2.5 && m->kind == DISCARD)
         return fmi2Discard;
     if (m->x[0] > 2.5 && m->kind == ERROR) {
         m->mode = OVER;
-        m->callbacks->logger(m->callbacks->componentEnvironment, "plant", fmi2Error, "error", "too far: 100%% of %g", 2.5);
+        if (m->logging)
+            m->callbacks->logger(m->callbacks->componentEnvironment, "plant", fmi2Error, "error", "too far: 100%% of %g", 2.5);
         return fmi2Error;
     }
     if (m->x[0] > 2.5 && m->kind == FATAL) {
@@ -214,6 +219,8 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
 {
     Plant *m = c;
     double d[MOST];
+    if (m->mode != INITIALIZATION && m->mode != EVENT && m->mode != CONTINUOUS)
+        return fmi2Error;
     derivatives(m, d);
     for (size_t i = 0; i < n; i++) {
         unsigned group = vr[i] / 100, k = vr[i] % 100;
@@ -258,6 +265,8 @@ fmi2Status fmi2EnterEventMode(fmi2Component c)
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
     Plant *m = c;
+    if (m->mode != EVENT)
+        return fmi2Error;
     memset(info, 0, sizeof *info);
     if (m->kind == TIME_EVENT || (m->kind == LATE_EVENT && m->events > 0)) {
         info->nextEventTimeDefined = fmi2True;
@@ -270,7 +279,10 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
 {
-    ((Plant *)c)->mode = CONTINUOUS;
+    Plant *m = c;
+    if (m->mode != EVENT)
+        return fmi2Error;
+    m->mode = CONTINUOUS;
     return fmi2OK;
 }
 
@@ -278,6 +290,8 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set, fmi2
 {
     Plant *m = c;
     (void)no_set;
+    if (m->mode != CONTINUOUS)
+        return fmi2Error;
     m->kept = m->x[0];
     m->earliest = m->t;
     *event = m->kind == CHOOSES ? fmi2True : fmi2False;
@@ -288,7 +302,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set, fmi2
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
 {
     Plant *m = c;
-    if (time < m->earliest)
+    if (time < m->earliest || (m->mode != CONTINUOUS && m->mode != EVENT))
         return fmi2Error;
     m->t = time;
     return fmi2OK;
@@ -305,7 +319,10 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
 
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
 {
-    memcpy(x, ((Plant *)c)->x, n * sizeof *x);
+    Plant *m = c;
+    if (m->mode != CONTINUOUS || n != (size_t)m->n)
+        return fmi2Error;
+    memcpy(x, m->x, n * sizeof *x);
     return fmi2OK;
 }
 
@@ -449,6 +466,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         fmi2Real value[])
 {
     Plant *m = c;
+    if (m->mode != CONTINUOUS)
+        return fmi2Error;
     for (size_t i = 0; i < n; i++) {
         value[i] = 0;
         for (size_t k = 0; k < n_known; k++) {
@@ -458,7 +477,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                                  : 0;
             value[i] += one * seed[k];
         }
-        if (m->kind == WRONG_SLOPES)
+        if (m->kind == WRONG_SLOPES && unknown[i] / 100 == 1)
             value[i] = -value[i];
     }
     return fmi2OK;

@@ -10,7 +10,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from lxml import etree
 
@@ -123,8 +123,8 @@ def check_archive(package: Package) -> Iterator[Finding]:
             elif (damage := _damage(archive, entry)) is not None:
                 yield finding("zip-sound", entry.filename, "an intact file", damage)
             written = entry.orig_filename
-            parts = PurePosixPath(written).parts
-            if "\\" in written or written.startswith(("/", "./")) or ".." in parts or ":" in written.split("/")[0]:
+            parts = written.split("/")
+            if "\\" in written or written.startswith("/") or not {".", ".."}.isdisjoint(parts) or ":" in parts[0]:
                 yield finding("zip-path", written, "a relative path with forward slashes", f"'{written}'")
             if stat.S_ISLNK(entry.external_attr >> 16):
                 yield finding("zip-link", entry.filename, "a file", "a link")

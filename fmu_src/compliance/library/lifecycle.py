@@ -196,7 +196,7 @@ def other_value(start: object, low: float, high: float) -> float:
     assert isinstance(start, (int, float))
     step = 0.125 * max(abs(start), 1.0)
     for value in (start + step, start - step, (start + high) / 2, (start + low) / 2):
-        if low <= value <= high:
+        if low <= value <= high and value != start:
             return float(value)
     return float(start)
 

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+from lxml import etree
 
 from fmu_src.compliance.check import check
 from fmu_src.compliance.files.binaries import FOLDERS
+from fmu_src.compliance.files.description import read
+from fmu_src.compliance.files.package import open_package, unpack
+from fmu_src.compliance.finding import Finding
+from fmu_src.compliance.library.calls import Subject
+from fmu_src.compliance.library.fmu import Fmu
 from fmu_src.native import compiler as native
 from fmu_src.native.sources import FMI_HEADERS, fixed_sources
 from fmu_src.platforms import resolve
@@ -66,3 +75,35 @@ def maker(sound: Contents, path: Path) -> Make:
 def found(path: Path) -> set[str]:
     """The rules that have findings."""
     return {finding.rule for finding in check(path).findings}
+
+
+def edited(name: str, edits: Mapping[str, str]) -> etree._Element:
+    """The document `name` of the folder `broken` with other text in it."""
+    document = (BROKEN / name).read_text()
+    for old, new in edits.items():
+        assert old in document, old
+        document = document.replace(old, new)
+    return etree.fromstring(document.encode())
+
+
+def told(findings: Iterable[Finding]) -> list[tuple[str, str, str]]:
+    """Rule, subject and what was found."""
+    return [(finding.rule, finding.subject, finding.found) for finding in findings]
+
+
+def loaded(path: Path, folder: Path, interface: str = "CoSimulation", **changes: Any) -> Fmu:
+    """The FMU unpacked in `folder` and loaded in this process, for probes that leave it alive; `changes` of how it is driven."""
+    unpack(open_package(path), folder / "fmu")
+    description = read(etree.parse(str(folder / "fmu" / "modelDescription.xml")).getroot())
+    subject = Subject(
+        description,
+        interface,
+        str(folder / "fmu" / BINARY),
+        (folder / "fmu" / "resources").as_uri(),
+        0.0,
+        1.0,
+        float(description.experiment["stepSize"]),
+        tuple(v for v in description.variables if v.causality in ("output", "local") and v.variability != "constant"),
+        folder,
+    )
+    return Fmu(replace(subject, **changes), lambda call: None, None, 0.05)

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from broken_fmus import BINARY, EXCHANGE, HOST, SUFFIX, Contents, Make, compiled, found
-from fmu_src.compliance.check import check
+from broken_fmus import BINARY, EXCHANGE, HOST, SUFFIX, Contents, Make, compiled, edited, found, told
+from fmu_src.compliance.check import _subject, check
 from fmu_src.compliance.files.binaries import FOLDERS
+from fmu_src.compliance.files.description import read
 from fmu_src.compliance.library import process
 from fmu_src.compliance.rules import DYNAMIC, RULES, STATIC
 from fmu_src.native import compiler as native
@@ -173,6 +174,81 @@ def test_a_finding_says_where_what_was_expected_and_what_came(
 ) -> None:
     monkeypatch.setattr(process, "TIMEOUT", 1.0)
     assert any(words in str(finding) for finding in check(make(defect=defect)).findings)
+
+
+DEFAULT = '<DefaultExperiment startTime="0" stopTime="1" tolerance="1e-4" stepSize="0.1"/>'
+
+
+@pytest.mark.parametrize(
+    ("said", "start", "stop", "step"),
+    [
+        (DEFAULT, 0.0, 1.0, 0.1),
+        ("", 0.0, None, 0.01),
+        ('<DefaultExperiment stopTime="3"/>', 0.0, 3.0, 0.03),
+        ('<DefaultExperiment startTime="2" stopTime="3"/>', 2.0, 3.0, 0.01),
+        ('<DefaultExperiment startTime="2" stopTime="2"/>', 2.0, 2.0, 0.01),
+        ('<DefaultExperiment startTime="-2" stopTime="-1.5"/>', -2.0, -1.5, 0.005),
+        ('<DefaultExperiment startTime="2"/>', 2.0, None, 0.01),
+        ('<DefaultExperiment startTime="2" stopTime="4" stepSize="0"/>', 2.0, 4.0, 0.02),
+        ('<DefaultExperiment startTime="2" stopTime="INF" stepSize="NaN"/>', 2.0, None, 0.01),
+        ('<DefaultExperiment stepSize="0.5"/>', 0.0, None, 0.5),
+    ],
+)
+def test_what_is_driven_is_the_default_experiment_in_steps_of_a_hundredth_where_it_says_none(
+    tmp_path: Path, said: str, start: float, stop: float | None, step: float
+) -> None:
+    description = read(edited("modelDescription.xml", {DEFAULT: said}))
+    subject = _subject(tmp_path / "fmu", description, "CoSimulation", BINARY)
+    assert (subject.start, subject.stop) == (start, stop) and subject.step == pytest.approx(step, rel=1e-14, abs=0)
+    assert [variable.name for variable in subject.watched] == ["x", "count", "y", "limit"]  # outputs, then locals
+    assert (tmp_path / "working directory for CoSimulation").is_dir()
+
+
+def test_at_most_a_thousand_variables_are_compared_outputs_first(tmp_path: Path) -> None:
+    local = '<ScalarVariable name="l{}" valueReference="3" causality="{}"><Real unit="m"/></ScalarVariable>'
+    kinds = ["local", "calculatedParameter", "output"]
+    more = "".join(local.format(i, kinds[i % 3]) for i in range(1500))
+    description = read(edited("modelDescription.xml", {"<ModelVariables>": f"<ModelVariables>{more}"}))
+    watched = _subject(tmp_path / "fmu", description, "CoSimulation", BINARY).watched
+    order = [variable.causality for variable in watched]
+    assert len(order) == 1000 and order[:503] == ["output"] * 503 and order[503:] == ["local"] * 497
+    assert [variable.name for variable in watched[:2]] == ["l2", "l5"]
+
+
+def test_a_note_says_why_rules_were_not_applied(make: Make, sound: Contents) -> None:
+    archive = ["zip-sound", "zip-method", "zip-path", "zip-link", "xml-schema"]
+    report = check(make({BINARY: None}, {"<Integer/>": "<Integer size='3'/>"}))
+    assert report.notes == ["modelDescription.xml is not valid, so no further rule was applied"]
+    assert report.checked == archive
+    report = check(make({"../a": b""}))
+    assert report.notes == ["the archive is not sound, so the FMU was not unpacked"]
+    layered = {"ls-ref-manifest", "ls-ref-checksum"}
+    assert report.checked == [*archive, *(rule for rule in STATIC if rule not in {*archive, *layered})]
+    report = check(make({BINARY: sound[BINARY].replace(b"fmi2CancelStep\0", b"fmi2CancelStop\0")}))
+    assert report.notes == [f"{BINARY} is not sound: co-simulation was not driven"]
+    report = check(make({BINARY: sound[BINARY].replace(b"GLIBC_2.2.5\0", b"GLIBC_9.2.5\0")}))
+    assert report.notes == ["the library does not load, so no further rule was applied"]
+    assert report.checked[-1] == "load"
+
+
+def test_an_unsound_library_for_another_machine_keeps_none_from_being_driven(make: Make) -> None:
+    heard: list[str] = []
+    report = check(make({"binaries/win64/broken.dll": b"none"}), heard.append)
+    assert [(found.rule, found.subject) for found in report.findings] == [
+        ("binary-format", "binaries/win64/broken.dll")
+    ]
+    assert report.notes == [] and "state-serialize" in report.checked
+    assert heard[:2] == ["static", "load"] and heard[-1] == "state-serialize" and set(heard[1:]) <= set(report.checked)
+
+
+def test_after_three_hangs_no_more_are_waited_for(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "TIMEOUT", 1.0)
+    report = check(make(defect="hangs-when-it-refuses"))
+    assert report.notes == ["3 calls did not come back, so no further rule was applied"]
+    names = ("fmi2ExitInitializationMode", "fmi2EnterInitializationMode", "fmi2DoStep")
+    assert told(report.findings) == [
+        ("call-order", f"{name} when instantiated", f"no answer from {name} within 1 s") for name in names
+    ]
 
 
 def test_an_fmu_that_differs_from_run_to_run_is_not_compared(make: Make) -> None:

@@ -193,7 +193,7 @@ def test_an_estimated_parameter_is_differentiated_by_differences_to_eight_digits
 
 def test_slopes_that_are_wrong_are_not_believed(modelled: Modelled) -> None:
     model = modelled("wrong_slopes", slopes=True)
-    assert model.guest.tables.count(b".directional_rate = 0") == 1
+    assert b".directional_rate = 0" in model.guest.tables and b".directional_measure = 1" in model.guest.tables
     wanted = linearisation(plant_fmu.van_der_pol()).jacobian([1.1, 0.4, 1.6], 0.3, [], 1.0).full()
     found = linearisation(model).jacobian([1.1, 0.4, 1.6], 0.3, [], 1.0).full()
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-8)

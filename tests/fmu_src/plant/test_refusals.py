@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import plant_fmu
 from fmu_src import PlantFMU
 from fmu_src.errors import PlantError
 from observers.canonical_dae import canonical_dae
@@ -87,6 +88,8 @@ def test_a_file_that_is_no_plant_is_refused_in_one_line(
 
 def test_a_library_that_does_not_load_is_refused_with_the_loaders_words(plants: Plants) -> None:
     assert "does not load" in refused(plants("van_der_pol", library=b"no library"))
+    lacking = plant_fmu.library().replace(b"fmi2Reset\0", b"fmi2Resat\0")
+    assert "undefined symbol: fmi2Reset" in refused(plants("van_der_pol", library=lacking))
 
 
 def test_methods_that_need_formulas_say_so_and_which_do_not(modelled: Callable[..., PlantFMU]) -> None:

@@ -248,6 +248,26 @@ def test_a_prediction_cheaper_than_the_threshold_is_kept_without_a_solve():
     assert o.get("diagnostics.solver_failures") == 0
 
 
+@pytest.mark.parametrize(("threshold", "kept"), [(0.0, 0), (1e-300, 19)])
+def test_a_prediction_is_kept_where_its_cost_is_below_the_threshold_not_where_it_is_the_threshold(threshold, kept):
+    """At rest without noise the cost is exactly 0; the first sample has no prediction that a solve has found."""
+    model = Model(
+        name="rest",
+        states=[Variable("x")],
+        outputs=[Variable("y")],
+        ode=lambda x, u, p, t: [-x.x],
+        output=lambda x, u, p, t: [x.x],
+    )
+    run = Instance(pseudospectral(model, sample_time=0.1, N=5, L=4), {"tuning.cost_threshold": threshold})
+    iterations = []
+    for k in range(20):
+        run.set("y", 0.0)
+        run.step(0.1 * k, 0.1)
+        assert run.get("diagnostics.cost") == 0
+        iterations.append(run.get("diagnostics.iterations"))
+    assert iterations.count(0) == kept and iterations[0] > 0
+
+
 def test_a_changed_model_parameter_is_said_for_a_windows_length():
     p, o = started()
     for run in (p, o):

@@ -78,6 +78,10 @@ static void say(Instance *self, fmi2Status status, const char *category, const c
 
 static fmi2Status refuse(Instance *self, const char *text)
 {
+#ifndef _WIN32
+    while (has("hangs-when-it-refuses"))
+        pause();
+#endif
     say(self, fmi2Error, "logStatusError", text);
     return fmi2Error;
 }
