@@ -11,13 +11,14 @@ its last iterate.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 
 from observers.elementary.scalar_problem import ScalarProblem
-from observers.model import Model, ModelError, Variable
+from observers.model import Model, ModelError, Names, Variable
 from observers.refusal import refuse, refuse_opaque
 
 LQ, GAUSS_NEWTON, GRID = "lq", "gauss_newton", "grid"
@@ -75,8 +76,42 @@ class Elementary:
         return [model.states[j] for j in self.states] + [model.unknown_disturbances[k] for k in self.disturbances]
 
 
+def with_constants(model: Model) -> Model:
+    """`model` with its unknown parameters as states that do not move.
+
+    Such a state's problem has no control: its solution is the mean of the last iterate over the window. In the others' problems it is a
+    control, free at every instant; (10) and the mean make it the same everywhere.
+
+    Raises:
+        ModelError: algebraic variables, rates or outputs that are no formulas.
+    """
+    refuse(model, METHOD, "algebraic")
+    refuse_opaque(model, METHOD)
+    constants = model.unknown_parameters
+    if not constants:
+        return model
+
+    def of(equations: Callable[..., Any], more: list[Any]) -> Callable[..., Any]:
+        def moved(x: Names, u: Names, p: Names, t: ca.SX) -> list[Any]:
+            known = {v.name: getattr(p, v.name) for v in model.parameters}
+            return [
+                *equations(x, u, Names("parameter", known | {v.name: getattr(x, v.name) for v in constants}), t),
+                *more,
+            ]
+
+        return moved
+
+    return replace(
+        model,
+        states=[*model.states, *constants],
+        unknown_parameters=(),
+        ode=of(model.ode, [0] * len(constants)),
+        output=of(model.output, []),
+    )
+
+
 def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]:
-    """The elementary problems of `model`, one for each state, each at the cheapest level that its structure allows.
+    """The elementary problems of `model` (`with_constants`), one for each state, each at the cheapest level that its structure allows.
 
     A control with bounds, or an equation that is not smooth, needs the grid. Without, an equation affine in its state and controls (and
     outputs affine in its state) is solved exactly as LQ, any other one by Gauss-Newton steps.
@@ -85,11 +120,9 @@ def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]
         levels: by the state's name, a level to be used instead; one more general than needed is always possible.
 
     Raises:
-        ModelError: algebraic variables or unknown parameters; a disturbance in an output, or in no state's equation.
+        ModelError: a disturbance in an output, or in no state's equation.
         ValueError: an unknown name or level, a level that does not suffice, a grid without finite bounds of its state.
     """
-    refuse(model, METHOD, "algebraic", "unknown_parameters")
-    refuse_opaque(model, METHOD)
     _refuse_disturbances(model)
     names = [v.name for v in model.states]
     for name, level in levels.items():

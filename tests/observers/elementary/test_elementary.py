@@ -20,7 +20,6 @@ from observers.instance import Instance
 from observers.model import Model, ModelError, Variable
 from observers.status import CODE
 from reference_models.calvillo_alamir import FMUS, WEIGHTS, WEIGHTS_WITHOUT_V
-from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from reference_models.roessler import ROESSLER
 from reference_models.van_der_pol import VAN_DER_POL, VAN_DER_POL_KNOWN, VAN_DER_POL_SIGNED
@@ -64,7 +63,6 @@ def test_a_kink_in_an_unknown_needs_the_grid_and_one_in_time_does_not() -> None:
 @pytest.mark.parametrize(
     ("model", "options", "words"),
     [
-        (DUFFING, {}, "unknown parameters"),
         (VAN_DER_POL, {"N": 2}, "N = 2"),
         (VAN_DER_POL, {"K": 0}, "K = 0"),
         (VAN_DER_POL, {"levels": {"x3": "lq"}}, "'x3'"),
