@@ -12,6 +12,7 @@ What deviates from the paper, and why:
 - The paper claims convergence in 2 to 5 iterations. With its weights it is linear with a ratio of 2/3, (1 + w1) / 2 with
   w1 = (1 / r1) / (1 / r1 + 1 / r2): 23 iterations to its epsilon. And x2 + c, v - c is a one-parameter family of fixed points:
   `diagnostics.null.*` names such a direction (`identifiability`), bounds on a disturbance can resolve it.
+- A disturbance in an output has a problem of that output (`output_problem`), of which (8) says nothing.
 - A disturbance is constant on each sample interval; (2)'s bounds may be any box. An unknown parameter, which the paper has none of, is a
   state that does not move.
 - The trajectories are compared with the equations by Hermite's rule over each interval, not by splines through the window: exact across the
