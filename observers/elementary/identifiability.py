@@ -22,7 +22,7 @@ import numpy as np
 
 from observers.elementary.columns import repeated
 from observers.elementary.iteration import acting, symbols
-from observers.elementary.output_problem import at_samples
+from observers.elementary.output_problem import at_samples, output_problems
 from observers.model import Model
 from observers.numerics import linear
 from observers.numerics.runge_kutta import runge_kutta
@@ -51,14 +51,15 @@ def least_visible(model: Model, N: int) -> ca.Function:
     p = repeated(v.p, N)
     ny, valid = len(model.outputs), acting(model, v.active) * v.V
     C, D = _output_gradients(model).map(N)(v.X, at_samples(v.W), v.u, p, times)
-    C, D = C * ca.repmat(valid, n, 1), (D * ca.repmat(valid, k, 1) if k else D)
+    disturbed = bool(output_problems(model))
+    C, D = C * ca.repmat(valid, n, 1), D * ca.repmat(valid, k, 1) if disturbed else ca.MX(0, N)
     middle = (v.X[:, :-1] + v.X[:, 1:]) / 2
     moves = _transition(model).map(N - 1)(
         middle, (v.u0 + v.u1) / 2, v.W, p[:, :-1], times[:-1] + v.s / 2, v.active, ca.repmat(v.s, 1, N - 1)
     )
     order = list(reversed(range(N - 1)))
     ends_at = [i + 1 for i in order]
-    Qs, Ks = _back(n, k, ny).mapaccum("riccati", N - 1)(0, C[:, ends_at], D[:, ends_at], moves[:, order])
+    Qs, Ks = _back(n, k, ny, disturbed).mapaccum("riccati", N - 1)(0, C[:, ends_at], D[:, ends_at], moves[:, order])
     first = ca.reshape(C[:, 0], ny, n)
     P_0 = Qs[:, -1] + ca.vec(ca.mtimes(first.T, first))
     move = ca.SX.sym("move", n * (n + k))
@@ -85,21 +86,23 @@ def least_visible(model: Model, N: int) -> ca.Function:
     return ca.Function("least_visible", list(vars(v).values())[:-1], [visibility, direction / largest * nominal])
 
 
-def _back(n: int, k: int, ny: int) -> ca.Function:
-    """back(Q_(i+1), C, D of the sample i + 1, move of the interval) -> (Q_i, K), as columns."""
-    Q_, C_, D_ = ca.SX.sym("Q", n * n), ca.SX.sym("C", ny * n), ca.SX.sym("D", ny * k)
+def _back(n: int, k: int, ny: int, disturbed: bool) -> ca.Function:
+    """back(Q_(i+1), C, D of the sample i + 1, move of the interval) -> (Q_i, K), as columns. D counts where outputs are `disturbed`."""
+    Q_, C_, D_ = ca.SX.sym("Q", n * n), ca.SX.sym("C", ny * n), ca.SX.sym("D", ny * k if disturbed else 0)
     move = ca.SX.sym("move", n * (n + k))
     Phi, Gamma = ca.reshape(move[: n * n], n, n), ca.reshape(move[n * n :], n, k)
-    Q, C, D = ca.reshape(Q_, n, n), ca.reshape(C_, ny, n), ca.reshape(D_, ny, k)
-    K, F, E = ca.SX(0, n), Phi, ca.mtimes(C, Phi)
+    C, D = ca.reshape(C_, ny, n), ca.reshape(D_, ny, k) if disturbed else ca.SX(ny, k)
+    P, K, F = ca.reshape(Q_, n, n) + ca.mtimes(C.T, C), ca.SX(0, n), Phi
     if k:
-        L = ca.mtimes(C, Gamma) + D
-        inner = linear.lu_factor(ca.mtimes([Gamma.T, Q, Gamma]) + ca.mtimes(L.T, L) + MU * ca.SX.eye(k))
-        cross = ca.mtimes([Gamma.T, Q, Phi]) + ca.mtimes([L.T, C, Phi])
-        K = linear.backward(inner, linear.forward(inner, cross))
+        shared = ca.mtimes([D.T, C, Gamma])
+        inner = ca.mtimes([Gamma.T, P, Gamma]) + shared + shared.T + ca.mtimes(D.T, D)
+        cross = ca.mtimes([Gamma.T, P, Phi]) + ca.mtimes([D.T, C, Phi])
+        LU = linear.lu_factor(inner + MU * ca.SX.eye(k))
+        K = linear.backward(LU, linear.forward(LU, cross))
         F = Phi - ca.mtimes(Gamma, K)
-        E = ca.mtimes(C, F) - ca.mtimes(D, K)
-    before = ca.mtimes([F.T, Q, F]) + ca.mtimes(E.T, E) + MU * ca.mtimes(K.T, K)
+    DK = ca.mtimes(D, K)
+    taken = ca.mtimes([F.T, C.T, DK])
+    before = ca.mtimes([F.T, P, F]) - taken - taken.T + ca.mtimes(DK.T, DK) + MU * ca.mtimes(K.T, K)
     return ca.Function("back", [Q_, C_, D_, move], [ca.vec((before + before.T) / 2), ca.vec(K)])
 
 

@@ -79,7 +79,8 @@ def elementary_solution(model: Model, problem: Elementary, N: int, nodes: int) -
     expected = measure(model).map(N)(v.X, at_samples(v.W), v.u, repeated(v.p, N), times)
     seen = ca.if_else(v.V, v.Y, expected)
     parts = [v.V[m, :] for m in disturbed(model, problem)]
-    target = ca.vertcat(*[seen[m, :] for m in problem.outputs], *parts, v.X, at_samples(v.W), v.u, times)
+    w = [at_samples(v.W)] if parts else []
+    target = ca.vertcat(*[seen[m, :] for m in problem.outputs], *parts, v.X, *w, v.u, times)
     known = ca.vertcat(u_middle, times[:-1] + v.s / 2)
     solve = (hamilton_jacobi if problem.level == GRID else gauss_newton)(scalar, N)
     xi, delta = solve(v.X[i, :], nu, rate, known, target, v.active, v.s, v.p, v.tuning[0], v.tuning[1:])

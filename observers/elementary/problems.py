@@ -231,8 +231,8 @@ def scalar_problem(model: Model, problem: Elementary, nodes: int) -> ScalarProbl
     """The problem's functions (7), (8), for the solvers.
 
     `known` of an interval: inputs and time; `target` of a node: the measurements that see the state (or, where one was rejected, what the
-    last iterate makes of it), the weights of those with disturbances, the last iterates x of the states and w of the disturbances there,
-    inputs and time.
+    last iterate makes of it), the weights of those with disturbances, the last iterates x of the states and (for such outputs) w of the
+    disturbances there, inputs and time.
     """
     eq, state = model.equations, model.states[problem.index]
     x, xi, ref, q = eq.x, ca.SX.sym("xi"), ca.SX.sym("ref"), ca.SX.sym("q")
@@ -253,7 +253,8 @@ def scalar_problem(model: Model, problem: Elementary, nodes: int) -> ScalarProbl
         second = ca.dot(each * c, c) + PROXIMAL
     else:
         value, slope, second = (xi - ref) ** 2, xi - ref, ca.SX(1)
-    target = ca.vertcat(y, weights, x, eq.w, eq.u, eq.t)
+    w = eq.w if disturbed(model, problem) else ca.SX(0, 1)
+    target = ca.vertcat(y, weights, x, w, eq.u, eq.t)
     lower, upper = bounds(model, problem)
     return ScalarProblem(
         name=state.name,
