@@ -57,6 +57,12 @@ class Refused:
 
 def candidate(method: str, task: Task) -> Candidate | Refused:
     """One of METHODS for the task, with everything at its default that the task does not say."""
+    if method == "elementary" and task.model.unknown_parameters:
+        names = ", ".join(v.name for v in task.model.unknown_parameters)
+        return Refused(
+            method,
+            f"elementary: model '{task.model.name}' has unknown parameters ({names}), whose weights want choosing by hand",
+        )
     arguments = _arguments(method, task)
     try:
         return Candidate(method, arguments, METHODS[method](task.model, **arguments))

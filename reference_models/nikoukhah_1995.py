@@ -1,4 +1,4 @@
-"""The experiments of Nikoukhah, "A new methodology for observer design and implementation", 1995: section 5, Examples 2.1 and 2.3."""
+"""The experiments of Nikoukhah, "A new methodology for observer design and implementation", 1995: section 5, Examples 2.1 to 2.3."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from functools import cache
 
 from observers.canonical_dae import canonical_dae
 from observers.component import Component
+from reference_models.chua import CHUA
 from reference_models.double_integrator import DOUBLE_INTEGRATOR, MASS_WITH_UNKNOWN_FORCE, PUSHED_MASS
 from reference_models.modulated import MODULATED, lyapunov_gain
 from reference_models.motor import FAULTY_MOTOR, MOTOR
@@ -16,6 +17,7 @@ from reference_models.sine import sine
 SAMPLE_TIME = 1e-3  # [s]
 # x3 is the state that is not measured; the first sample sets the others.
 GUESS = {"x1": 0.0, "x2": 0.0, "x3": 0.0}
+CHUA_POLES = (-2.0, -3.0, -4.0)
 
 
 @cache
@@ -27,6 +29,11 @@ def motor() -> Component:
 @cache
 def modulated() -> Component:
     return plant(MODULATED, stop_time=30.0, step_size=0.01)
+
+
+@cache
+def chua() -> Component:
+    return plant(CHUA, stop_time=10.0, step_size=0.01)
 
 
 @cache
@@ -58,6 +65,13 @@ FMUS: dict[str, Source] = {
             MODULATED, sample_time=0.01, gain=lyapunov_gain, guess={"x1": 0.0, "x2": 0.0}, stop_time=30.0
         ),
         modulated,
+    ),
+    "chua": (chua, None),
+    "chua_canonical_dae": (
+        lambda: canonical_dae(
+            CHUA, sample_time=0.01, poles=CHUA_POLES, guess={"x1": 1.0, "x2": 1.0, "x3": 1.0}, stop_time=10.0
+        ),
+        chua,
     ),
     "double_integrator": (double_integrator, None),
     "double_integrator_canonical_dae": (
@@ -101,6 +115,13 @@ SYSTEMS: dict[str, Recipe] = {
         30.0,
         0.01,
         (*_DRIVEN, ("plant.y", "observer.y")),
+    ),
+    "nikoukhah_example_2_2": Recipe(
+        "Example 2.2: Chua's circuit, error dynamics that are linear",
+        {"plant": "chua", "observer": "chua_canonical_dae"},
+        {},
+        10.0,
+        0.01,
     ),
     "nikoukhah_example_2_3": Recipe(
         "Example 2.3: double integrator",

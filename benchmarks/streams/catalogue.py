@@ -193,6 +193,7 @@ OTHERS = {
     "modulated_canonical_dae": _plant(
         "modulated", 0.01, 2000, 500, noise={"y": 1e-3}, inputs=lambda seed, n: waves(0.01, n, u=np.sin)
     ),
+    "chua_canonical_dae": _plant("chua", 0.01, 1000, 300, noise={"y": 1e-3}),
     "double_integrator_canonical_dae": _plant("double_integrator", 0.01, 500, 150, noise={"y": 1e-3}),
     "pushed_mass_canonical_dae": _plant("pushed_mass", 0.01, 500, 150, noise={"y1": 1e-3, "y2": 1e-3}),
     "van_der_pol_elementary": _plant(

@@ -9,7 +9,7 @@ import casadi as ca
 
 from observers.canonical_dae.interpolation import lagrange_slopes
 
-MOST = 5  # the highest order in use; 6 is hardly stable, beyond none is
+MOST = 6  # the highest order: from 7 on backward differentiation is not zero-stable
 
 
 def coefficients(order: int) -> list[float]:

@@ -9,6 +9,7 @@ A = f_x, C = h_x are taken at the estimate itself, not at an equilibrium nearby 
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from observers.model import Model, ModelError, Names
 from observers.numerics.exact import product
 from observers.numerics.rank import unobservable
 
-Design = Callable[..., Iterable[Iterable[Any]]]  # (x, u, p, t) -> the rows of Gamma
+Design = Callable[..., Iterable[Iterable[Any]]]  # (x, u, p, t) or (x, u, p, t, lambda) -> the rows of Gamma
 
 SMALLEST_GUARD = 1e-9
 INJECTIONS = 6  # preliminary output injections that are tried
@@ -40,7 +41,7 @@ def _guard(description: str, start: float) -> Port:
 
 @dataclass(frozen=True)
 class Gain:
-    """gamma(x, u, p, t, tuning) -> (Gamma (n x p - q), valid: 1 where the gain is what was asked for, else 0).
+    """gamma(x, u, p, t, lambda, tuning) -> (Gamma (n x p - q), valid: 1 where the gain is what was asked for, else 0).
 
     `iterated`: Gamma is the result of an iteration, not of a formula.
     """
@@ -150,12 +151,15 @@ def regional(dae: Dae, alpha: float, X: ArrayLike) -> Gain:
 
 def _nothing_to_place(dae: Dae) -> Gain:
     """The gain beside as many unknown disturbances as outputs: no lambda is left, what is left of the states decays by itself."""
-    gamma = ca.Function("gamma", [*dae.arguments, ca.SX(0, 1)], [ca.SX(dae.n, 0), ca.SX(1)])
+    gamma = ca.Function("gamma", [*dae.arguments, _lambda(dae), ca.SX(0, 1)], [ca.SX(dae.n, 0), ca.SX(1)])
     return Gain(gamma, (), "no relaxation left to place eigenvalues with")
 
 
 def given(dae: Dae, model: Model, design: Design) -> Gain:
     """The user's own Gamma(x, u), written with names like the model's equations: rows for the states, then the unknown parameters.
+
+    A design of five arguments is given lambda (p - q x 1) too. Gamma(x, u, lambda, t) lambda is then any v of (2.4) that is differentiable
+    in lambda and satisfies (2.8): v = (the integral of v_lambda(s lambda) over s from 0 to 1) lambda.
 
     Raises:
         ModelError: an unknown name, or not n x (p - q) entries.
@@ -165,11 +169,13 @@ def given(dae: Dae, model: Model, design: Design) -> Gain:
     def names(group: str, variables: Sequence[Any], column: ca.SX) -> Names:
         return Names(group, {v.name: column[i] for i, v in enumerate(variables)})
 
+    relaxation = _lambda(dae)
     rows = design(
         names("state", model.states, eq.x),
         names("input", model.inputs, eq.u),
         names("parameter", (*model.parameters, *model.unknown_parameters), ca.vertcat(eq.p, eq.theta)),
         eq.t,
+        *([relaxation] if _takes_lambda(design) else []),
     )
     table = [[ca.SX(entry) for entry in row] for row in rows]
     if len(table) != dae.n or any(len(row) != dae.n_lambda for row in table):
@@ -178,12 +184,24 @@ def given(dae: Dae, model: Model, design: Design) -> Gain:
             f"expected {dae.n} rows of {dae.n_lambda}"
         )
     Gamma = ca.vertcat(*[ca.horzcat(*row) for row in table])
-    nothing = ca.SX(0, 1)
+    arguments = [*dae.arguments, relaxation, ca.SX(0, 1)]
     return Gain(
-        ca.Function("gamma", [*dae.arguments, nothing], [ca.densify(Gamma), ca.SX(1)], {"cse": True}),
+        ca.Function("gamma", arguments, [ca.densify(Gamma), ca.SX(1)], {"cse": True}),
         (),
         "a given gain",
     )
+
+
+def _takes_lambda(design: Design) -> bool:
+    try:
+        inspect.signature(design).bind(*range(5))
+    except TypeError:
+        return False
+    return True
+
+
+def _lambda(dae: Dae) -> ca.SX:
+    return ca.SX.sym("lambda", dae.n_lambda)
 
 
 def reduced_pair(dae: Dae) -> tuple[ca.SX, ca.SX]:
@@ -208,7 +226,7 @@ def _gain(
         M, R, Pi = ca.DM(dae.M), ca.DM(dae.rest.R), ca.DM(dae.Pi)
         CM = ca.mtimes(dae.C.T, M)
         Gamma = ca.mtimes(ca.mtimes(R, K), ca.mtimes(CM.T, CM)) - ca.mtimes(A, ca.mtimes(Pi, CM))
-    gamma = ca.Function("gamma", [*dae.arguments, tuning], [ca.densify(Gamma), valid], {"cse": True})
+    gamma = ca.Function("gamma", [*dae.arguments, _lambda(dae), tuning], [ca.densify(Gamma), valid], {"cse": True})
     return Gain(gamma, ports, description, iterated)
 
 

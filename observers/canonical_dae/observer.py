@@ -67,12 +67,13 @@ def canonical_dae(
     Args:
         sample_time: start value of the fixed parameter `sample_time`, Ts [s].
         gain: "exact" places all eigenvalues of the linearised error dynamics (3.17)-(3.22), "regional" shifts them left of -alpha by the
-            Riccati equation (3.25), (3.26); or a function `(x, u, p, t)` that returns the rows of Gamma (n x p), written like the model.
+            Riccati equation (3.25), (3.26); or a function `(x, u, p, t)` that returns the rows of Gamma (n x p), written like the model. As
+            `(x, u, p, t, lam)` it gives Gamma that depends on lambda (a column) too, and v = Gamma lambda of (2.4) in general.
         poles: for "exact", the eigenvalues [1/s], one for each state (less the unknown disturbances), real or in conjugate pairs; -10 each
             if absent. Tunable.
         alpha, X: for "regional", the decay rate [1/s] and X, its diagonal or all of it (p - q x p - q); the identity if absent. Tunable.
         form: "w" (Runge-Kutta on the w-form) or "bdf" (the paper's section 4).
-        order: of the backward differentiation, 1 to 5.
+        order: of the backward differentiation, 1 to 6.
         degree: of the polynomial through past measurements that the w-form takes between samples, 1 to 9. A higher one follows faster
             signals and amplifies noise near half the sampling frequency.
         measurement_noise: start values of `tuning.measurement_noise.<output>`, the standard deviation of a sample, by which innovations are

@@ -210,7 +210,8 @@ def jump(method: Method) -> ca.Function:
     d = ca.if_else(again, 0, ca.if_else(accepted, found.d, s.d))
 
     # 3. What is to be said of it.
-    singular = ca.logic_not(method.gain.gamma(x, read.known, q.model, t, q.gain)[1])
+    relaxation = mu[dae.n_disturbances :] if dae.n_lambda else ca.MX(0, 1)
+    singular = ca.logic_not(method.gain.gamma(x, read.known, q.model, t, relaxation, q.gain)[1])
     fault, above, below = (
         ca.if_else(again, first, new)
         for first, new in zip((fault_detector.SETTLING, 0, 0), _watched(method, now, mu, any_valid), strict=True)

@@ -137,7 +137,7 @@ def bdf_step(dae: Dae, gain: Gain, order: int) -> Callable[..., tuple[Any, Any, 
     both = ca.vertcat(dae.x, mu)
     a_0, older, Ts = ca.SX.sym("a_0"), ca.SX.sym("older", both.numel()), ca.SX.sym("Ts")
     moved = a_0 * both + older  # Ts (x', mu')
-    Gamma = gain.gamma(*dae.arguments, tuning)[0]
+    Gamma = gain.gamma(*dae.arguments, _lambda(dae, mu), tuning)[0]
 
     def residual(Gamma: ca.SX) -> ca.SX:
         forced = dae.f + ca.mtimes(Gamma, _lambda(dae, mu))
@@ -171,7 +171,7 @@ def _at(dae: Dae) -> list[ca.SX]:
 
 def _forced(dae: Dae, gain: Gain, mu: ca.SX, tuning: ca.SX) -> ca.SX:
     """f + Gamma_bar mu (n x 1)."""
-    Gamma = gain.gamma(*dae.arguments, tuning)[0]
+    Gamma = gain.gamma(*dae.arguments, _lambda(dae, mu), tuning)[0]
     return dae.f + ca.mtimes(Gamma, _lambda(dae, mu))
 
 

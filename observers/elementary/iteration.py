@@ -5,6 +5,7 @@ The window's trajectories are columns: states X (n x N) at the samples, disturba
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +14,8 @@ import casadi as ca
 from observers.elementary.columns import repeated
 from observers.elementary.defect import mean_rate
 from observers.elementary.hamilton_jacobi import hamilton_jacobi
-from observers.elementary.problems import GRID, Elementary, scalar_problem
+from observers.elementary.output_problem import at_samples, left_over, output_problems, solution
+from observers.elementary.problems import GRID, Elementary, disturbed, scalar_problem
 from observers.elementary.scalar_gauss_newton import gauss_newton
 from observers.model import Model
 from observers.numerics.finite import HUGE
@@ -54,9 +56,15 @@ def mean_rates(model: Model, v: Any) -> Any:
     return rate(v.X[:, :-1], v.X[:, 1:], v.u0, v.u1, v.W, repeated(v.p, N - 1), times[:-1], repeated(v.s, N - 1))
 
 
+def measure(model: Model) -> ca.Function:
+    """(x, w, u, p, t) -> y (ny x 1)."""
+    eq = model.equations
+    return ca.Function("measure", [eq.x, eq.w, eq.u, eq.p, eq.t], [ca.densify(eq.output)])
+
+
 def elementary_solution(model: Model, problem: Elementary, N: int, nodes: int) -> ca.Function:
     """ep(X, W, Y, V, u0, u1, u, active, t, s, p, tuning(q, r (m)), rate) -> (xi (1 x N), nu (m x N - 1)): one elementary
-    problem, solved.
+    problem, solved. V in [0, 1] is the part of its weight with which an output that has disturbances is followed.
     """
     v, i = symbols(model, N, 1 + problem.n_controls), problem.index
     rate = ca.MX.sym("rate", 1, N - 1)
@@ -67,15 +75,12 @@ def elementary_solution(model: Model, problem: Elementary, N: int, nodes: int) -
     nu = ca.vertcat(*[middle[j, :] for j in problem.states], *[v.W[k, :] for k in problem.disturbances])
     if not problem.n_controls:
         nu = ca.MX(0, N - 1)
-    measure = ca.Function(
-        "measure",
-        [model.equations.x, model.equations.u, model.equations.p, model.equations.t],
-        [ca.densify(model.equations.output)],
-    )
     # A rejected measurement: what the last iterate makes of it, which does not pull.
-    expected = measure.map(N)(v.X, v.u, repeated(v.p, N), times)
+    expected = measure(model).map(N)(v.X, at_samples(v.W), v.u, repeated(v.p, N), times)
     seen = ca.if_else(v.V, v.Y, expected)
-    target = ca.vertcat(*[seen[m, :] for m in problem.outputs], v.X, v.u, times)
+    parts = [v.V[m, :] for m in disturbed(model, problem)]
+    w = [at_samples(v.W)] if parts else []
+    target = ca.vertcat(*[seen[m, :] for m in problem.outputs], *parts, v.X, *w, v.u, times)
     known = ca.vertcat(u_middle, times[:-1] + v.s / 2)
     solve = (hamilton_jacobi if problem.level == GRID else gauss_newton)(scalar, N)
     xi, delta = solve(v.X[i, :], nu, rate, known, target, v.active, v.s, v.p, v.tuning[0], v.tuning[1:])
@@ -95,19 +100,39 @@ def active_nodes(active: Any, rows: int) -> Any:
     return ca.repmat(ca.fmax(ca.horzcat(0, active), ca.horzcat(active, 0)), rows, 1)
 
 
+def acting(model: Model, active: Any) -> Any:
+    """ny x N: 1 where a sample says something: at an active interval's end, and at its begin if the output has no disturbance."""
+    rows, ends = active_nodes(active, len(model.outputs)), ca.horzcat(0, active)
+    for problem in output_problems(model):
+        rows = ca.vertcat(rows[: problem.index, :], ends, rows[problem.index + 1 :, :])
+    return rows
+
+
 def contributors(model: Model, problems: tuple[Elementary, ...]) -> list[tuple[int, ...]]:
-    """For each state, then each disturbance: the problems in which it is the state or a control, that is those which (10) averages."""
-    states = [tuple(p.index for p in problems if j == p.index or j in p.states) for j in range(len(model.states))]
+    """For each state, then each disturbance: the problems in which it is the state or a control, that is those which (10) averages.
+
+    A state's problem goes by the state's index, that of the j-th disturbed output by the number of states + j.
+    """
+    n = len(model.states)
+    states = [tuple(p.index for p in problems if j == p.index or j in p.states) for j in range(n)]
+    seen = output_problems(model)
     return states + [
-        tuple(p.index for p in problems if k in p.disturbances) for k in range(len(model.unknown_disturbances))
+        tuple(p.index for p in problems if k in p.disturbances)
+        + tuple(n + j for j, p in enumerate(seen) if k in p.disturbances)
+        for k in range(len(model.unknown_disturbances))
     ]
 
 
 def tuning_layout(model: Model, problems: tuple[Elementary, ...]) -> Layout:
-    """The tuning as one column: q of each problem, r of each problem's controls, the weights of (10) for each variable."""
+    """The tuning as one column: q of each problem, r of each problem's controls, the weights of (10) for each variable.
+
+    The problems of the states come first, then those of the outputs.
+    """
+    seen, n = output_problems(model), len(problems)
     return Layout(
-        q=len(problems),
+        q=n + len(seen),
         **{f"r{p.index}": p.n_controls for p in problems},
+        **{f"r{n + j}": len(p.disturbances) for j, p in enumerate(seen)},
         **{f"weight{j}": len(of) for j, of in enumerate(contributors(model, problems))},
     )
 
@@ -123,9 +148,9 @@ def iteration(model: Model, problems: tuple[Elementary, ...], N: int, nodes: int
     rates = mean_rates(model, v)
     states: list[list[Any]] = [[] for _ in model.states]
     disturbances: list[list[Any]] = [[] for _ in model.unknown_disturbances]
+    arguments = [*(vars(v) | {"V": _followed(model, v, tuning, len(problems))}).values()][:-1]
     for problem in problems:
         settings = ca.vertcat(tuning.q[problem.index], getattr(tuning, f"r{problem.index}"))
-        arguments = [*vars(v).values()][:-1]
         xi, nu = elementary_solution(model, problem, N, nodes)(*arguments, settings, rates[problem.index, :])
         middle = (v.X[:, :-1] + v.X[:, 1:]) / 2
         for j in sorted((problem.index, *problem.states)):
@@ -141,6 +166,9 @@ def iteration(model: Model, problems: tuple[Elementary, ...], N: int, nodes: int
 
     n = len(model.states)
     X = ca.vertcat(*[average(found, getattr(tuning, f"weight{j}")) for j, found in enumerate(states)])
+    # The outputs' problems begin where the states' end: both would take the same residual off.
+    for k, nu in _of_outputs(model, v, X, tuning, len(problems)):
+        disturbances[k].append(nu)
     W = ca.vertcat(
         *[
             average(found, getattr(tuning, f"weight{n + k}")) if found else v.W[k, :]
@@ -152,6 +180,32 @@ def iteration(model: Model, problems: tuple[Elementary, ...], N: int, nodes: int
     nominal = ca.repmat(ca.DM([s.nominal for s in model.states]), 1, N)
     change = ca.norm_inf(ca.vec(active_nodes(v.active, n) * (X - v.X) / nominal))
     return ca.Function("iterate", list(vars(v).values()), [X, W, change])
+
+
+def _followed(model: Model, v: SimpleNamespace, tuning: SimpleNamespace, first: int) -> Any:
+    """V, and of an output with disturbances the part of its weight with which the states follow it; `first`: number of its problem."""
+    N, rows = v.X.shape[1], v.V
+    times = v.t + v.s * ca.DM(range(1 - N, 1)).T
+    for j, output in enumerate(output_problems(model), start=first):
+        weights = (repeated(tuning.q[j], N), repeated(getattr(tuning, f"r{j}"), N))
+        left = left_over(model, output).map(N)(v.X, at_samples(v.W), v.u, repeated(v.p, N), times, *weights)
+        left = left * ca.horzcat(0, v.active) * v.V[output.index, :]
+        rows = ca.vertcat(rows[: output.index, :], left, rows[output.index + 1 :, :])
+    return rows
+
+
+def _of_outputs(
+    model: Model, v: SimpleNamespace, X: Any, tuning: SimpleNamespace, first: int
+) -> Iterator[tuple[int, Any]]:
+    """(k, its values on the intervals) for each disturbance of each output, by the outputs' problems at the states X."""
+    N, at = X.shape[1], slice(1, None)
+    times = v.t + v.s * ca.DM(range(1 - N, 1)).T
+    for j, output in enumerate(output_problems(model), start=first):
+        m, weights = output.index, (repeated(tuning.q[j], N - 1), repeated(getattr(tuning, f"r{j}"), N - 1))
+        samples = (v.Y[m, at], v.V[m, at] * v.active, v.u[:, at], repeated(v.p, N - 1), times[at])
+        nu = solution(model, output).map(N - 1)(X[:, at], v.W, *samples, *weights)
+        for row, k in enumerate(output.disturbances):
+            yield k, nu[row, :]
 
 
 def iterations(model: Model, problems: tuple[Elementary, ...], N: int, K: int, nodes: int) -> ca.Function:

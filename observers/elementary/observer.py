@@ -12,7 +12,9 @@ What deviates from the paper, and why:
 - The paper claims convergence in 2 to 5 iterations. With its weights it is linear with a ratio of 2/3, (1 + w1) / 2 with
   w1 = (1 / r1) / (1 / r1 + 1 / r2): 23 iterations to its epsilon. And x2 + c, v - c is a one-parameter family of fixed points:
   `diagnostics.null.*` names such a direction (`identifiability`), bounds on a disturbance can resolve it.
-- A disturbance is constant on each sample interval; (2)'s bounds may be any box.
+- A disturbance in an output has a problem of that output (`output_problem`), of which (8) says nothing.
+- A disturbance is constant on each sample interval; (2)'s bounds may be any box. An unknown parameter, which the paper has none of, is a
+  state that does not move.
 - The trajectories are compared with the equations by Hermite's rule over each interval, not by splines through the window: exact across the
   jumps of held inputs.
 - A state that is measured directly starts the iterations at its measurement, any other one at the prediction.
@@ -32,7 +34,7 @@ from observers.component import Component, Port
 from observers.elementary import ports as elementary_ports
 from observers.elementary.identifiability import describe as describe_null
 from observers.elementary.iteration import iterations
-from observers.elementary.problems import METHOD, decompose
+from observers.elementary.problems import METHOD, decompose, with_constants
 from observers.elementary.problems import describe as describe_problems
 from observers.elementary.sample import jump, symbols
 from observers.linearisation import prediction_step, refuse_unobservable
@@ -81,10 +83,11 @@ def elementary(
             the fit are judged; a hundredth of the nominal value if absent.
 
     Raises:
-        ModelError: algebraic variables or unknown parameters, a state that no output can ever see.
+        ModelError: algebraic variables, a state or unknown parameter that no output can ever see.
         ValueError: sample_time, N, K, nodes, a weight or a level out of range, a grid without bounds, a first guess of other variables.
     """
     _check_options(model, N, K, nodes, first_guess)
+    model, first_guess = with_constants(model), first_guess and with_constants(first_guess)
     period = ports.sample_time(METHOD, sample_time)
     problems = decompose(model, levels or {})
     refuse_unobservable(model, METHOD)
@@ -168,8 +171,8 @@ def _check_options(model: Model, N: int, K: int, nodes: int, first_guess: Model 
 
 
 def _variables(model: Model) -> list[list[str]]:
-    groups = (model.states, model.inputs, model.outputs, model.parameters, model.unknown_disturbances)
-    return [[v.name for v in group] for group in groups]
+    known = (model.states, model.inputs, model.outputs, model.parameters)
+    return [[v.name for v in group] for group in (*known, model.unknown_parameters, model.unknown_disturbances)]
 
 
 def _start(v: SimpleNamespace, N: int) -> Any:

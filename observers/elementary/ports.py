@@ -8,6 +8,7 @@ from html import escape
 from observers import ports
 from observers.component import Port
 from observers.elementary.iteration import contributors
+from observers.elementary.output_problem import output_problems
 from observers.elementary.problems import METHOD, Elementary
 from observers.model import Model
 
@@ -58,17 +59,24 @@ def tuning(
 ) -> tuple[Port, ...]:
     """`tuning.q.<state>`, `tuning.r.<state>.<control>` of each problem, `tuning.weight.<variable>.<state>` of each average; start values 1.
 
+    A problem of a disturbed output goes by the output's name.
+
     Raises:
         ValueError: a name that is no problem, or no control of it; a value below SMALLEST.
     """
-    states = [v.name for v in model.states]
-    controls = {states[p.index]: [v.name for v in p.controls(model)] for p in problems}
+    seen = output_problems(model)
+    # The problems go by the names of their states and outputs.
+    named = [v.name for v in model.states] + [model.outputs[p.index].name for p in seen]
+    controls = {named[p.index]: [v.name for v in p.controls(model)] for p in problems}
+    controls |= {
+        model.outputs[p.index].name: [model.unknown_disturbances[k].name for k in p.disturbances] for p in seen
+    }
     variables = [v.name for v in (*model.states, *model.unknown_disturbances)]
-    averaged = {v: [states[i] for i in of] for v, of in zip(variables, contributors(model, problems), strict=True)}
-    _check("q", {"": q}, {"": states})
+    averaged = {v: [named[i] for i in of] for v, of in zip(variables, contributors(model, problems), strict=True)}
+    _check("q", {"": q}, {"": named})
     _check("r", r, controls)
     _check("weights", weights, averaged)
-    made = [("q." + name, f"weight of the reference in the problem of {name}", q.get(name, 1.0)) for name in states]
+    made = [("q." + name, f"weight of the reference in the problem of {name}", q.get(name, 1.0)) for name in named]
     for name, of in controls.items():
         made += [(f"r.{name}.{c}", f"weight of {c} in the problem of {name}", r.get(name, {}).get(c, 1.0)) for c in of]
     for name, of in averaged.items():

@@ -11,13 +11,15 @@ its last iterate.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 
+from observers.elementary.output_problem import output_problems
 from observers.elementary.scalar_problem import ScalarProblem
-from observers.model import Model, ModelError, Variable
+from observers.model import Model, ModelError, Names, Variable
 from observers.refusal import refuse, refuse_opaque
 
 LQ, GAUSS_NEWTON, GRID = "lq", "gauss_newton", "grid"
@@ -75,8 +77,42 @@ class Elementary:
         return [model.states[j] for j in self.states] + [model.unknown_disturbances[k] for k in self.disturbances]
 
 
+def with_constants(model: Model) -> Model:
+    """`model` with its unknown parameters as states that do not move.
+
+    Such a state's problem has no control: its solution is the mean of the last iterate over the window. In the others' problems it is a
+    control, free at every instant; (10) and the mean make it the same everywhere.
+
+    Raises:
+        ModelError: algebraic variables, rates or outputs that are no formulas.
+    """
+    refuse(model, METHOD, "algebraic")
+    refuse_opaque(model, METHOD)
+    constants = model.unknown_parameters
+    if not constants:
+        return model
+
+    def of(equations: Callable[..., Any], more: list[Any]) -> Callable[..., Any]:
+        def moved(x: Names, u: Names, p: Names, t: ca.SX) -> list[Any]:
+            known = {v.name: getattr(p, v.name) for v in model.parameters}
+            return [
+                *equations(x, u, Names("parameter", known | {v.name: getattr(x, v.name) for v in constants}), t),
+                *more,
+            ]
+
+        return moved
+
+    return replace(
+        model,
+        states=[*model.states, *constants],
+        unknown_parameters=(),
+        ode=of(model.ode, [0] * len(constants)),
+        output=of(model.output, []),
+    )
+
+
 def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]:
-    """The elementary problems of `model`, one for each state, each at the cheapest level that its structure allows.
+    """The elementary problems of `model` (`with_constants`), one for each state, each at the cheapest level that its structure allows.
 
     A control with bounds, or an equation that is not smooth, needs the grid. Without, an equation affine in its state and controls (and
     outputs affine in its state) is solved exactly as LQ, any other one by Gauss-Newton steps.
@@ -85,11 +121,9 @@ def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]
         levels: by the state's name, a level to be used instead; one more general than needed is always possible.
 
     Raises:
-        ModelError: algebraic variables or unknown parameters; a disturbance in an output, or in no state's equation.
+        ModelError: a disturbance in no equation; a disturbed output with the name of a state.
         ValueError: an unknown name or level, a level that does not suffice, a grid without finite bounds of its state.
     """
-    refuse(model, METHOD, "algebraic", "unknown_parameters")
-    refuse_opaque(model, METHOD)
     _refuse_disturbances(model)
     names = [v.name for v in model.states]
     for name, level in levels.items():
@@ -101,18 +135,20 @@ def decompose(model: Model, levels: Mapping[str, str]) -> tuple[Elementary, ...]
 
 
 def _refuse_disturbances(model: Model) -> None:
-    """Raise a ModelError that names a disturbance in an output, or in no state's equation."""
+    """Raise a ModelError that names a disturbance in no equation, or a disturbed output whose problem would have a state's name."""
     eq = model.equations
     for k, disturbance in enumerate(model.unknown_disturbances):
-        for output, expression in zip(model.outputs, ca.vertsplit(eq.output), strict=True):
-            if ca.depends_on(expression, eq.w[k]):
-                raise ModelError(
-                    f"{METHOD}: model '{model.name}': the output '{output.name}' depends on the unknown disturbance "
-                    f"'{disturbance.name}', which this method does not treat"
-                )
-        if not ca.depends_on(eq.ode, eq.w[k]):
+        if not ca.depends_on(ca.vertcat(eq.ode, eq.output), eq.w[k]):
             raise ModelError(
-                f"{METHOD}: model '{model.name}': the unknown disturbance '{disturbance.name}' acts on no state"
+                f"{METHOD}: model '{model.name}': the unknown disturbance '{disturbance.name}' acts on no state and no output"
+            )
+    states = [v.name for v in model.states]
+    for problem in output_problems(model):
+        name = model.outputs[problem.index].name
+        if name in states:
+            raise ModelError(
+                f"{METHOD}: model '{model.name}': the output '{name}', which an unknown disturbance acts on, has the name of a state: "
+                "each has a problem of its own, whose weights go by its name"
             )
 
 
@@ -165,13 +201,17 @@ def _is_rough(expressions: ca.SX, unknowns: ca.SX) -> bool:
 
 
 def describe(model: Model, problems: tuple[Elementary, ...]) -> list[str]:
-    """One sentence for each problem: its state, its controls, what it follows, how it is solved and why."""
+    """One sentence for each problem, the states' and the outputs': its controls, what it follows, how it is solved and why."""
     lines = []
     for problem in problems:
         state = model.states[problem.index].name
         controls = ", ".join(v.name for v in problem.controls(model)) or "none"
         follows = ", ".join(model.outputs[m].name for m in problem.outputs) or f"the last iterate of {state}"
         lines.append(f"{state}: controls {controls}; follows {follows}; solved by {problem.level}, as {problem.reason}")
+    for output in output_problems(model):
+        name = model.outputs[output.index].name
+        controls = ", ".join(model.unknown_disturbances[k].name for k in output.disturbances)
+        lines.append(f"{name}: controls {controls}; follows {name}; solved at each sample, as it is an output's")
     return lines
 
 
@@ -182,11 +222,17 @@ def bounds(model: Model, problem: Elementary) -> tuple[list[float], list[float]]
     return [-v for v in free] + [v.min for v in chosen], free + [v.max for v in chosen]
 
 
+def disturbed(model: Model, problem: Elementary) -> list[int]:
+    """Of the outputs that see the state, those with disturbances."""
+    return [output.index for output in output_problems(model) if output.index in problem.outputs]
+
+
 def scalar_problem(model: Model, problem: Elementary, nodes: int) -> ScalarProblem:
     """The problem's functions (7), (8), for the solvers.
 
     `known` of an interval: inputs and time; `target` of a node: the measurements that see the state (or, where one was rejected, what the
-    last iterate makes of it), the state's last iterate x, inputs and time.
+    last iterate makes of it), the weights of those with disturbances, the last iterates x of the states and (for such outputs) w of the
+    disturbances there, inputs and time.
     """
     eq, state = model.equations, model.states[problem.index]
     x, xi, ref, q = eq.x, ca.SX.sym("xi"), ca.SX.sym("ref"), ca.SX.sym("q")
@@ -197,16 +243,18 @@ def scalar_problem(model: Model, problem: Elementary, nodes: int) -> ScalarProbl
     dynamics = ca.Function(
         "dynamics", [xi, nu, known, eq.p], [F, ca.densify(ca.jacobian(F, xi)), ca.densify(ca.jacobian(F, nu))]
     )
-    y = ca.SX.sym("y", len(problem.outputs))
+    y, weights = ca.SX.sym("y", len(problem.outputs)), ca.SX.sym("weights", len(disturbed(model, problem)))
     if problem.outputs:
         h = ca.substitute(ca.vertcat(*[eq.output[m] for m in problem.outputs]), x[problem.index], xi)
-        c = ca.jacobian(h, xi)
-        value = ca.sumsqr(y - h) + PROXIMAL * (xi - ref) ** 2
-        slope = PROXIMAL * (xi - ref) - ca.dot(c, y - h)
-        second = ca.sumsqr(c) + PROXIMAL
+        c, each = ca.jacobian(h, xi), ca.SX.ones(len(problem.outputs))
+        each[[problem.outputs.index(m) for m in disturbed(model, problem)]] = weights
+        value = ca.dot(each * (y - h), y - h) + PROXIMAL * (xi - ref) ** 2
+        slope = PROXIMAL * (xi - ref) - ca.dot(each * c, y - h)
+        second = ca.dot(each * c, c) + PROXIMAL
     else:
         value, slope, second = (xi - ref) ** 2, xi - ref, ca.SX(1)
-    target = ca.vertcat(y, x, eq.u, eq.t)
+    w = eq.w if disturbed(model, problem) else ca.SX(0, 1)
+    target = ca.vertcat(y, weights, x, w, eq.u, eq.t)
     lower, upper = bounds(model, problem)
     return ScalarProblem(
         name=state.name,

@@ -10,10 +10,11 @@ import casadi as ca
 from observers import judgement, ports, undo
 from observers.elementary.columns import repeated
 from observers.elementary.identifiability import least_visible
-from observers.elementary.iteration import active_nodes
+from observers.elementary.iteration import acting, measure
+from observers.elementary.output_problem import at_samples, explained
 from observers.model import Model
 from observers.numerics.consistency import chi_square_quantile
-from observers.numerics.finite import HUGE, kept
+from observers.numerics.finite import HUGE, finite, kept
 from observers.numerics.layout import Layout
 from observers.status import CODE, worst
 
@@ -69,11 +70,15 @@ def symbols(model: Model, N: int, settings: Layout) -> SimpleNamespace:
 
 def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: bool) -> Any:
     """At t_k: the sample joins the window, the iterations go on, the window's end is the estimate."""
-    s, c, eq, ny = v.s, v.c, model.equations, len(model.outputs)
-    measure = ca.Function("measure", [eq.x, eq.u, eq.p, eq.t], [ca.densify(eq.output)])
+    s, c, ny, shown = v.s, v.c, len(model.outputs), measure(model)
 
     # 1. The sample joins the window; the iterations start from the last ones, moved on by one sample.
-    expected, of_guess = (measure(x, v.read.known, c.model, v.t) for x in (s.x, c.guess))
+    # A disturbance in an output is what the sample says that it is: an innovation is what none within its bounds explains.
+    now, explain = (v.read.known, c.model, v.t), explained(model)
+    expected, of_guess = (
+        shown(x, explain(x, w, kept(v.read.y, 0), v.read.offered * finite(v.read.y), *now), *now)
+        for x, w in ((s.x, v.w), (c.guess, c.guess_w))
+    )
     sample = judgement.judged(model, s, v.read.y, v.read.offered, expected, of_guess, c.noise, c.false_alarm)
     # A prediction that rests on the first guess alone says nothing of the samples.
     solved = s.samples >= (N if waits else 2)
@@ -89,8 +94,8 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
     X_new, W_new, change, contraction, iterations = iterate(
         due, moved.X, moved.W, *window, c.tuning, c.epsilon, c.iteration_limit
     )
-    finite = ca.sumsqr(ca.vertcat(ca.vec(X_new), ca.vec(W_new))) < HUGE
-    failed, accepted = ca.logic_and(due, ca.logic_not(finite)), ca.logic_and(due, finite)
+    sound = ca.sumsqr(ca.vertcat(ca.vec(X_new), ca.vec(W_new))) < HUGE
+    failed, accepted = ca.logic_and(due, ca.logic_not(sound)), ca.logic_and(due, sound)
     X, W = ca.if_else(accepted, X_new, moved.X), ca.if_else(accepted, W_new, moved.W)
     # A failure begins a new window at the prediction, or, where that left the domain of h, at the one before the last sample. What fails
     # again before that window is full, or predicts worse than the guess, starts from the guess.
@@ -107,8 +112,8 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
         ca.if_else(accepted, found, old) for found, old in zip(seen, (s.visibility, s.null), strict=True)
     )
     times = v.t + c.sample_time * ca.DM(range(1 - N, 1)).T
-    apart = active_nodes(moved.active, ny) * moved.V
-    residual = apart * (moved.Y - measure.map(N)(X, moved.at_samples, repeated(c.model, N), times))
+    apart = acting(model, moved.active) * moved.V
+    residual = apart * (moved.Y - shown.map(N)(X, at_samples(W), moved.at_samples, repeated(c.model, N), times))
     cost = ca.sumsqr(residual / ca.repmat(ca.DM([o.nominal for o in model.outputs]), 1, N))
     squared = ca.sumsqr(residual / ca.repmat(c.noise, 1, N))
     misfit = ca.logic_not(squared <= chi_square_quantile(ca.fmax(ca.sum1(ca.sum2(apart)), 1), c.false_alarm))
@@ -154,8 +159,8 @@ def jump(v: SimpleNamespace, model: Model, N: int, iterate: ca.Function, waits: 
             "status": status,
             "cost": kept(ca.if_else(failed, s.cost, cost), s.cost),
             "iterations": iterations,
-            "change": kept(ca.if_else(finite, change, 0), 0),
-            "contraction": kept(ca.if_else(finite, contraction, 0), 0),
+            "change": kept(ca.if_else(sound, change, 0), 0),
+            "contraction": kept(ca.if_else(sound, contraction, 0), 0),
             "visibility": kept(visibility, s.visibility),
             "doubted": doubted,
             **{part: ca.if_else(again, 0, value) for part, value in kept_judgement.items()},

@@ -1,10 +1,12 @@
-"""Nikoukhah 1995 through the built FMUs and the master: the motor of section 5, Examples 2.1 and 2.3, faults, an unknown input."""
+"""Nikoukhah 1995 through the built FMUs and the master: the motor of section 5, Examples 2.1 to 2.3, faults, an unknown input."""
 
 import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from scipy.signal import place_poles
 
 from build_fmus import FMUS
 from cosim.results import Result
@@ -12,6 +14,7 @@ from observers.canonical_dae import fault_detector
 from observers.instance import Instance
 from observers.status import CODE
 from reference_models import nikoukhah_1995
+from reference_models.chua import CHUA
 from reference_models.motor import MOTOR
 
 A2 = next(v.start for v in MOTOR.parameters if v.name == "A2")
@@ -135,6 +138,20 @@ def test_example_2_1_converges_for_an_exciting_input(
 
 def test_example_2_1_cannot_converge_for_no_input(example: Example) -> None:
     assert error(example("example_2_1", overrides={"source.amplitude": 0.0}), "x1")[-1] > 0.99
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0, 100.0])
+def test_example_2_2s_error_is_the_linear_equations_through_the_fmus(example: Example, size: float) -> None:
+    alpha, beta, _, linear = (p.start for p in CHUA.parameters)
+    A = np.array([[-alpha * linear, alpha, 0], [1, -1, 1], [0, -beta, 0]])
+    J = place_poles(A.T, np.eye(3)[:, :1], nikoukhah_1995.CHUA_POLES).gain_matrix.T
+    guess = {"observer.guess.x1": max(size, 1), "observer.guess.x2": -size, "observer.guess.x3": size}
+    result = example("example_2_2", overrides=guess)
+    times = result.time[:-1]
+    w = np.array([expm((A - J @ np.eye(3)[:1]) * t) @ [0, -size, size] for t in times])
+    for i, state in ((1, "x2"), (2, "x3")):
+        gap = result[f"observer.filtered.{state}"][1:] - result[f"plant.x.{state}"][:-1]
+        np.testing.assert_allclose(gap, w[:, i], rtol=0, atol=2e-6 * max(size, 1))
 
 
 def response(slave: Callable, frequency: float, gamma: tuple[float, float]) -> complex:

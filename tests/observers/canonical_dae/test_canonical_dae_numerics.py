@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space, solve_continuous_are
 
-from observers.canonical_dae.bdf import coefficients
+from observers.canonical_dae.bdf import MOST, coefficients
 from observers.canonical_dae.care import care
 from observers.canonical_dae.complement import complement, exact_inverse
 from observers.canonical_dae.half_explicit import half_explicit
@@ -171,6 +171,30 @@ def test_backward_differentiation_has_the_published_coefficients():
     assert coefficients(1) == [1, -1]
     assert coefficients(2) == [3 / 2, -2, 1 / 2]
     assert coefficients(5) == [137 / 60, -5, 5, -10 / 3, 5 / 4, -1 / 5]
+    assert coefficients(6) == [147 / 60, -6, 15 / 2, -20 / 3, 15 / 4, -6 / 5, 1 / 6]
+
+
+def test_backward_differentiation_is_zero_stable_up_to_its_largest_order_and_not_beyond():
+    largest = []
+    for order in (*range(2, MOST + 1), MOST + 1):
+        roots = np.roots([float(a) for a in lagrange_slopes(order, Fraction(0))])
+        largest.append(np.sort(np.abs(roots[np.abs(roots - 1) > 1e-6]))[-1])
+    assert largest[-2] == pytest.approx(0.863, abs=1e-3) and max(largest[:-1]) == largest[-2]
+    assert largest[-1] == pytest.approx(1.022, abs=1e-3)
+
+
+@pytest.mark.parametrize(("order", "wedge"), [(5, 51.8), (6, 17.8)])
+def test_backward_differentiation_is_stable_for_poles_in_a_wedge_and_for_all_others_as_the_page_says(order, wedge):
+    def grows(size, angle):
+        """Whether steps of the linear error with the pole z = Ts p, `angle` degrees off the negative real axis, grow."""
+        polynomial = np.array(coefficients(order), dtype=complex)
+        polynomial[0] += size * np.exp(-1j * np.pi * angle / 180)
+        return np.abs(np.roots(polynomial)).max() > 1
+
+    sizes = np.geomspace(1e-2, 30, 60)
+    assert not any(grows(size, angle) for size in sizes for angle in (0, wedge / 2, wedge - 0.3))
+    assert any(grows(size, wedge + 0.5) for size in sizes)
+    assert not any(grows(size, angle) for size in sizes[sizes < 0.72] for angle in range(0, 90, 8))
 
 
 @pytest.mark.parametrize(("n", "q"), [(2, 0), (3, 1), (4, 2), (5, 3)])
