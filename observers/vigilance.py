@@ -7,6 +7,7 @@ An innovation nu (ny) of covariance S is tested in three ways, each in units of 
 - Outliers in a row say that the estimate is wrong, not the sensor. So does `doubt`, a cumulative sum (Page, Biometrika 41, 1954) of the
   clipped nu' S^-1 nu / dof above a drift. The covariance starts again around the estimate; where that does not help, the estimate starts
   again at the guess. Where it comes back before the samples fit, starting again did not help: the next time takes twice as much of it.
+- Innovations that keep to one side, each of them small, are the same to a cumulative sum of their own, `lean`: the covariance starts again.
 - What was learned from samples that contradicted the estimate is worth nothing once they have ended, and a covariance that they made small
   keeps it for very long: where a spell of them ends, the covariance starts again too, and so it does where one lasts, but not for ever.
 
@@ -45,6 +46,9 @@ SETTINGS = {port.name.removeprefix("tuning."): 1 for port in TUNING}  # their pa
 
 ROW = 10  # outliers in a row, two for each that is none
 LARGEST, DRIFT, THRESHOLD = 8.0, 2.5, 60.0  # of `doubt`: eleven samples in a row far off; noise alone does not reach it
+# Of `lean`, in deviations: what is usual, what counts at most, and where it says something. White innovations reach it once in 10^7
+# samples, those that are one deviation off at the thirty-first, and those that are farther off when `doubt` does.
+SLANT, MOST_LEANT, LEANT = 0.5, 2.0, 15.0
 MOST_TRIES = 2  # each with twice the threshold of the one before
 PROVEN = 60  # samples after a restart, or samples in a row that fit, that end it
 LOSS, MOST_DISTRUST = 4.0, 500.0  # trust is away for so many samples for each that contradicted, and so many at most
@@ -59,7 +63,7 @@ HEARD_BY_DESIGN = 2.0  # the same of a paper's design, whose innovations die awa
 MOST_LEVEL = 10.0  # times the largest level of the first samples, or 1
 SPELL = 100  # samples of contradictions until the covariance starts again; the second time, twice as many
 TAUGHT = 5  # samples, far off each, that acted: what they taught is forgotten once there are no more
-MOST_SPELLS = 2  # times, until it is trusted again
+MOST_SPELLS = 2  # times, until it is trusted again; the same of `lean`
 NEVER = 1e6  # a gate from which on nothing starts again: the filter as in its textbook
 FINDING = 30  # samples that it takes to find a level, where nobody says what the measurement noise is
 ROUNDING = 1e-9  # of a nominal value: what an innovation is at least
@@ -99,12 +103,14 @@ class Watch:
             "turn",
             "spell",
             "spells",
+            "leans",
             "taught",
             "hush",
             "age",
             "restarted",
         )
-        return Layout(tests=memory_size(len(self.model.outputs)), **dict.fromkeys(single, 1))
+        ny = len(self.model.outputs)
+        return Layout(tests=memory_size(ny), lean=2 * ny, **dict.fromkeys(single, 1))
 
     @property
     def start(self) -> Any:
@@ -197,11 +203,15 @@ def verdict(
     # Each time without trust since makes it twice as long until the next: of a model that is a little wrong there is no end.
     misled = ca.logic_and(s.taught >= TAUGHT, s.spells < MOST_SPELLS)
     long = ca.logic_and(misled, ca.logic_and(s.quiet < EARNED, s.spell >= SPELL * 2**s.spells))
+    lean = _leant(s.lean, normalised, ca.logic_and(doubtful, valid))
+    leaning = 0 if watch.weighted else ca.logic_and(ca.mmax(lean) > LEANT * 2**s.leans, s.leans < MOST_SPELLS)
     fits = ca.logic_and(s.quiet == EARNED - 1, ca.logic_not(raised))
     ended = ca.logic_and(misled, ca.logic_and(fits, s.spell >= (EARNED + 5) * 2**s.spells))
-    again = ca.logic_and(ca.logic_or(ca.logic_or(lost, long), ended), tuning.gate < NEVER)
+    allowed = tuning.gate < NEVER
+    forgets = ca.logic_and(ca.logic_or(ca.logic_or(lost, long), ended), allowed)
+    again = ca.logic_or(forgets, ca.logic_and(leaning, allowed))
     restart = ca.logic_and(again, ca.logic_and(lost, s.turn))
-    contradicted = ca.logic_or(raised, ca.logic_and(again, ca.logic_or(lost, long)))
+    contradicted = ca.logic_or(raised, ca.logic_and(again, ca.logic_or(ca.logic_or(lost, long), leaning)))
     quiet = ca.if_else(contradicted, 0, ca.fmin(s.quiet + (dof > 0), SLOWLY_EARNED))
     earned = ca.logic_or(s.earned, quiet >= (SLOWLY_EARNED if watch.weighted else EARNED))
     more = ca.fmax(ca.fmin(s.distrust + LOSS, ca.if_else(earned, MOST_DISTRUST, LOSS)), s.distrust)
@@ -225,6 +235,7 @@ def verdict(
             "unit": 1 if watch.known else watch._unit(level, variances),
             "peak": peak,
             "doubt": ca.if_else(again, 0, doubt),
+            "lean": ca.if_else(again, 0, lean),
             "quiet": quiet,
             "earned": earned,
             "distrust": distrust,
@@ -233,8 +244,9 @@ def verdict(
             "tries": tries,
             "row": ca.if_else(again, 0, row),
             "turn": turn,
-            "spell": ca.if_else(ca.logic_or(again, distrust <= LOSS), 0, s.spell + (dof > 0)),
-            "taught": ca.if_else(again, 0, s.taught + ca.logic_and(result.alone, ca.logic_not(gross))),
+            "spell": ca.if_else(ca.logic_or(forgets, distrust <= LOSS), 0, s.spell + (dof > 0)),
+            "taught": ca.if_else(forgets, 0, s.taught + ca.logic_and(result.alone, ca.logic_not(gross))),
+            "leans": ca.if_else(distrust <= LOSS, 0, s.leans + ca.logic_and(again, leaning)),
             "spells": ca.if_else(distrust <= LOSS, 0, s.spells + ca.logic_and(again, ca.logic_or(long, ended))),
             "restarted": ca.logic_or(s.restarted, ca.logic_and(again, ca.logic_not(fresh))),
         }
@@ -245,6 +257,13 @@ def verdict(
         (ca.logic_or(contradicted, distrust > LOSS), CODE.inconsistent),
     )
     return Verdict(after, ca.logic_and(again, ca.logic_not(restart)), restart, cases)
+
+
+def _leant(lean: Any, normalised: Any, counts: Any) -> Any:
+    """`lean` (2 ny), above and below, after a sample of the `normalised` innovations (ny) that `counts` (ny)."""
+    cut = ca.if_else(counts, ca.fmax(ca.fmin(normalised, MOST_LEANT), -MOST_LEANT), 0)
+    moved = ca.fmax(lean + ca.vertcat(cut, -cut) - SLANT, 0)
+    return ca.if_else(ca.vertcat(counts, counts), moved, lean)
 
 
 def _learned(watch: Watch, s: SimpleNamespace, mean: Any, dof: Any, loud: Any) -> tuple[Any, Any]:

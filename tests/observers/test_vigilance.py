@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -21,6 +22,7 @@ from observers.pseudospectral import pseudospectral
 from observers.riccati import riccati
 from observers.status import CODE
 from observers.ukf import ukf
+from reference_models.chemostat import CHEMOSTAT
 from reference_models.duffing import DUFFING
 from reference_models.plant import plant
 from reference_models.quadruple_tank import QUADRUPLE_TANK
@@ -262,3 +264,27 @@ def test_bounds_do_not_hide_a_number_that_is_none() -> None:
     for given, expected in (([-1.0, -1.0], [0.0, -1.0]), ([2.0, 9.0], [1.0, 9.0]), ([0.25, 0.0], [0.25, 0.0])):
         assert_allclose(function(given).full().ravel(), expected, rtol=0, atol=0)
     assert math.isnan(float(function([math.nan, 0.0])[0]))
+
+
+@pytest.mark.parametrize("make", [ukf, riccati])
+def test_a_parameter_that_jumps_is_found_again_where_nobody_gave_a_noise(make: Callable[..., Component]) -> None:
+    """A chemostat whose largest growth rate falls by a tenth at sample 100: each innovation that follows is small, and of one side."""
+    (biomass,) = CHEMOSTAT.outputs
+    model = replace(CHEMOSTAT, outputs=[replace(biomass, nominal=2.0)])
+    component, found = make(model, sample_time=900.0, max_step=900.0), []
+    for seed in range(10):
+        rng, run = np.random.default_rng(seed), Instance(component)
+        truth = Instance(plant(model, max_step=90.0), {"start.X": rng.uniform(2, 4), "start.S": rng.uniform(1, 3)})
+        for k in range(150):
+            if k % 20 == 0:
+                dilution = rng.uniform(0.1, 0.3) / 3600
+            if k == 100:
+                truth.set("parameter.mu", 0.36 / 3600)
+            for each in (run, truth):
+                each.set("dilution", dilution)
+            run.set("y", truth.get("y") + 0.05 * rng.normal())
+            run.step(900.0 * k, 900.0)
+            truth.step(900.0 * k, 900.0)
+        found.append(run.get("estimate.mu") * 3600)
+    errors = np.abs(np.array(found) - 0.36)
+    assert np.median(errors) < 0.01

@@ -149,10 +149,10 @@ def test_outliers_taught_nothing_and_nothing_of_it_is_forgotten() -> None:
 def test_contradictions_that_last_start_the_covariance_again_twice_and_the_estimate_never() -> None:
     """Every fifth sample far off: too few for the cumulative sum, and trust never comes back."""
     watched = Watched(samples=100)
-    done = [watched((4.5, 0.0) if k % 5 == 0 else (1 / 3, -1 / 3)).done for k in range(1500)]
+    done = [watched((4.5 * (-1) ** k, 0.0) if k % 5 == 0 else (1 / 3, -1 / 3)).done for k in range(1500)]
     begins = [k for k in range(1500) if done[k]]
     assert [done[k] for k in begins] == ["inflate", "inflate"]
-    assert 100 <= begins[0] < 120 and begins[1] - begins[0] == 201
+    assert 100 <= begins[0] < 130 and begins[1] - begins[0] == 201
 
 
 def test_a_gate_of_a_million_turns_restarts_off() -> None:
@@ -170,7 +170,35 @@ def test_samples_in_a_row_far_off_but_within_the_gate_start_it_again_at_the_elev
     said = watched((9.0, 9.0))
     assert (said.done, said.status) == ("inflate", CODE.inconsistent)
     watched = Watched(samples=SETTLED)
-    assert until(watched, (1.5, 1.5)) == (200, "")  # 2.25 is below what is usual
+    done = [watched(1.5 * np.array([1.0, -1.0]) * (-1) ** k).done for k in range(200)]
+    assert set(done) == {""}  # 2.25 is below what is usual
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 0.0), (0.0, -1.0)])
+def test_innovations_on_one_side_start_the_covariance_again_twice_and_the_estimate_never(
+    sizes: tuple[float, float],
+) -> None:
+    """One deviation each, of either output: more than 15 beyond the half that is usual, then 30 after it has settled again."""
+    watched = Watched(samples=100)
+    assert until(watched, sizes) == (31, "inflate")
+    assert until(watched, sizes) == (SETTLED + 61, "inflate")
+    assert until(watched, sizes, 1000) == (1000, "")
+
+
+def test_of_innovations_on_one_side_nothing_counts_that_is_usual_or_missing() -> None:
+    watched = Watched(samples=100)
+    assert until(watched, (0.5, 0.0)) == (200, "")
+    watched = Watched(samples=100)
+    for _ in range(30):
+        watched((1.0, 0.0))
+        watched((9.0, 0.0), (0, 1))
+    assert watched((1.0, 0.0)).done == "inflate"
+
+
+def test_innovations_on_one_side_start_nothing_again_of_a_papers_design() -> None:
+    """Its first ones keep to one side until it has converged."""
+    watched = Watched(weighted=True, samples=100)
+    assert until(watched, (1.0, 0.0)) == (200, "")
 
 
 def test_one_of_two_outputs_counts_by_itself() -> None:
