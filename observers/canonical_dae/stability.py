@@ -58,16 +58,16 @@ def error_dynamics(dae: Dae) -> ca.Function:
 
 
 def spectrum(dae: Dae, gain: Gain, region: Region) -> Spectrum | None:
-    """The spectrum over the region's points with the tuning's start values; None where the gain is valid at none, or no state is left.
+    """The spectrum over the region's points with the tuning's start values, at lambda = 0; None where the gain is valid at none, or no state is left.
 
     Raises:
         ModelError: an eigenvalue has no negative real part; the message names the one of the largest, and its point.
     """
     at = error_dynamics(dae)
-    tuning = [port.start for port in gain.tuning]
+    tuning, relaxation = [port.start for port in gain.tuning], [0.0] * dae.n_lambda
     found = []
     for point in region.points:
-        Gamma, valid = gain.gamma(*point, tuning)
+        Gamma, valid = gain.gamma(*point, relaxation, tuning)
         M = at(*point, Gamma).full()
         if M.size and valid and np.all(np.isfinite(M)):
             found.append((np.linalg.eigvals(M), point, ROUNDING * np.linalg.norm(M)))
