@@ -58,7 +58,9 @@ def error_dynamics(dae: Dae) -> ca.Function:
 
 
 def spectrum(dae: Dae, gain: Gain, region: Region) -> Spectrum | None:
-    """The spectrum over the region's points with the tuning's start values, at lambda = 0; None where the gain is valid at none, or no state is left.
+    """The spectrum over the region's points with the tuning's start values, at lambda = 0.
+
+    None where the gain is valid at none, or no state is left.
 
     Raises:
         ModelError: an eigenvalue has no negative real part; the message names the one of the largest, and its point.

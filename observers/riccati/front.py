@@ -41,7 +41,8 @@ class Tried:
         """How far off a guess may be for the error to decay at least with `rate` [1/s]; 0 where none decays that fast for certain."""
         if 0 < self.rate(math.inf) >= rate:
             return math.inf
-        return self.certificate.rho * max(1 - rate / self.rate(0), 0.0)
+        near = self.rate(0.0)
+        return self.certificate.rho * (1 - rate / near) if rate < near else 0.0
 
 
 @checked

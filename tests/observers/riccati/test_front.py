@@ -165,6 +165,8 @@ def test_other_matrices_than_the_identity_improve_the_guaranteed_rate_of_example
     identity = {port.name: port.start for port in riccati(JAMES_BARAS_5_1, sample_time=0.01, N=1.0).constants}
     assert best.rate(math.inf) > 9 / (2 * identity["certificate.q"])
     assert fastest([best], math.inf) is best and widest([best], 0.05).radius(0.05) == math.inf
+    with pytest.raises(ValueError, match="no design decays for certain with 1 1/s"):
+        widest([best], 1.0)
 
 
 def test_what_no_design_guarantees_is_refused_with_what_one_does() -> None:
