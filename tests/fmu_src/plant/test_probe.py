@@ -99,6 +99,7 @@ def test_sets_of_parameters_keep_to_their_limits() -> None:
     assert all(5.0 <= values[0] <= 6.0 and -0.4 <= values[1] <= 0.0 for values in sets)
 
 
+@pytest.mark.filterwarnings("ignore:All-NaN slice")
 def test_results_are_the_same_to_eight_digits_of_the_largest() -> None:
     one = np.array([[1.0, 0.0, 4.0], [-100.0, 0.0, np.nan]])
     assert list(probe._compare(REQUEST, [one, one])) == [100.0, 1.0, 4.0]
