@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from broken_fmus import told
-from fmu_src.compliance.files.package import Package, check_archive, open_package
+from fmu_src.compliance.files.package import NotAnFmu, Package, check_archive, open_package
 
 DOCUMENT = '<fmiModelDescription fmiVersion="{}"/>'
 
@@ -94,3 +94,9 @@ def test_a_document_that_is_none_is_refused(tmp_path: Path, document: bytes, wor
     with pytest.raises(ValueError) as refused:
         open_package(path)
     assert str(refused.value).startswith(f"{path}: ") and words in str(refused.value)
+
+
+def test_what_the_system_does_not_read_is_refused_with_its_words(tmp_path: Path) -> None:
+    path = tmp_path / ("n" * 300)
+    with pytest.raises(NotAnFmu, match=f"^{path}: cannot be read: File name too long$"):
+        open_package(path)
