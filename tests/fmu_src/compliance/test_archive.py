@@ -33,7 +33,7 @@ def test_a_path_within_is_not(tmp_path: Path, name: str) -> None:
     assert told(check_archive(packed(tmp_path / "x.fmu", name))) == []
 
 
-@pytest.mark.parametrize("size", [0, 1, 1 << 20, (1 << 20) + 1])
+@pytest.mark.parametrize("size", [(1 << 20) + 1, 1 << 20, 1, 0])
 def test_a_file_of_any_size_is_intact_until_a_byte_changes(tmp_path: Path, size: int) -> None:
     package = packed(tmp_path / "x.fmu", ("file", b"\xf7" * size))
     assert told(check_archive(package)) == []
