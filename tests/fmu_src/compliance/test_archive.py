@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from broken_fmus import told
-from fmu_src.compliance.files.package import Package, check_archive, open_package
+from fmu_src.compliance.files.package import NotAnFmu, Package, check_archive, open_package
 
 DOCUMENT = '<fmiModelDescription fmiVersion="{}"/>'
 
@@ -33,7 +33,7 @@ def test_a_path_within_is_not(tmp_path: Path, name: str) -> None:
     assert told(check_archive(packed(tmp_path / "x.fmu", name))) == []
 
 
-@pytest.mark.parametrize("size", [0, 1, 1 << 20, (1 << 20) + 1])
+@pytest.mark.parametrize("size", [(1 << 20) + 1, 1 << 20, 1, 0])
 def test_a_file_of_any_size_is_intact_until_a_byte_changes(tmp_path: Path, size: int) -> None:
     package = packed(tmp_path / "x.fmu", ("file", b"\xf7" * size))
     assert told(check_archive(package)) == []
@@ -94,3 +94,9 @@ def test_a_document_that_is_none_is_refused(tmp_path: Path, document: bytes, wor
     with pytest.raises(ValueError) as refused:
         open_package(path)
     assert str(refused.value).startswith(f"{path}: ") and words in str(refused.value)
+
+
+def test_what_the_system_does_not_read_is_refused_with_its_words(tmp_path: Path) -> None:
+    path = tmp_path / ("n" * 300)
+    with pytest.raises(NotAnFmu, match=f"^{path}: cannot be read: File name too long$"):
+        open_package(path)

@@ -30,7 +30,8 @@ CONTAINER = FMPY / "container_fmu" / "binaries"
 def test_fmpys_logger_is_read_on_every_platform(file: str, machine: str, system: str) -> None:
     library = read_library(FMPY / "logging" / file)
     assert machine in library.machines and "addLoggerProxy" in library.exports and system in library.needed
-    assert not {"printf", "vsnprintf", "_vsnprintf", "malloc"} & library.exports
+    # What it calls and what is its own is no export.
+    assert not {"vsnprintf", "__vsnprintf_chk", "__stack_chk_fail", "logMessage", "s_logger"} & library.exports
     if file.endswith(".so"):
         assert library.undefined["vsnprintf"] == "libc.so.6"
         assert not {"__gmon_start__", "__cxa_finalize"} & set(library.undefined)  # weak

@@ -99,6 +99,7 @@ def test_sets_of_parameters_keep_to_their_limits() -> None:
     assert all(5.0 <= values[0] <= 6.0 and -0.4 <= values[1] <= 0.0 for values in sets)
 
 
+@pytest.mark.filterwarnings("ignore:All-NaN slice")
 def test_results_are_the_same_to_eight_digits_of_the_largest() -> None:
     one = np.array([[1.0, 0.0, 4.0], [-100.0, 0.0, np.nan]])
     assert list(probe._compare(REQUEST, [one, one])) == [100.0, 1.0, 4.0]
@@ -222,3 +223,41 @@ def test_after_an_error_the_plant_is_reset_or_made_anew_with_the_parameters_that
     probe.Plant.restart(plant)  # type: ignore[arg-type]
     anew = [] if resets else [("free", 77), ("instantiate", "callbacks")]
     assert calls == ["reset", *anew, ("initialise", "values")]
+
+
+def asked(status: int | None = None, moves: float = 0.0, next_event: float = 5.0, t: float = 1.0) -> tuple[Any, int]:
+    """What a plant of two states and one output answers at [1, 2, 3], and how often it was restarted; `status`: it refuses by that."""
+    restarts: list[int] = []
+
+    def derivatives(d: Any, n: int) -> None:
+        if status is not None:
+            raise FMICallException("fmi2GetDerivatives", status)
+        d[:] = [10.0, 20.0]
+
+    plant = SimpleNamespace(
+        n=2,
+        request=REQUEST,
+        next_event=next_event,
+        slave=SimpleNamespace(getDerivatives=derivatives),
+        set=lambda v, t: None,
+        read=lambda references: [30.0 for _ in references],
+        states=lambda: np.array([1.0, 2.0 + moves]),
+        restart=lambda: restarts.append(1),
+    )
+    return probe.Plant.at(plant, np.array([1.0, 2.0, 3.0]), t), len(restarts)  # type: ignore[arg-type]
+
+
+def test_a_point_has_the_derivatives_and_outputs_or_as_many_that_are_no_numbers() -> None:
+    found, restarts = asked()
+    assert list(found) == [10.0, 20.0, 30.0] and restarts == 0
+    for status, t, again in ((2, 1.0, 0), (3, 1.0, 1), (None, 5.001, 0)):
+        found, restarts = asked(status, t=t)
+        assert found.shape == (3,) and np.isnan(found).all() and restarts == again
+    assert list(asked(t=5.0)[0]) == [10.0, 20.0, 30.0]
+
+
+def test_a_point_that_ends_the_plant_or_moves_its_states_ends_the_trial() -> None:
+    with pytest.raises(Refused, match="ends for good at a point near its start: fmi2GetDerivatives answers fmi2Fatal"):
+        asked(4)
+    with pytest.raises(Refused, match=r"changes its own states: 'b' was set to 2 and is 2\.5 once its derivatives"):
+        asked(moves=0.5)
