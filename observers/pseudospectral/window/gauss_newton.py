@@ -124,7 +124,8 @@ def newton_step(solve: Solve) -> ca.Function:
 
 def prior(ns: int) -> ca.Function:
     """|s + ds - mean|^2_information as a symmetric matrix in [1; ds]."""
-    s, mean, information = ca.SX.sym("s", ns), ca.SX.sym("mean", ns), ca.SX.sym("information", ns * ns)
+    kind = tiles.kind(ns)
+    s, mean, information = kind.sym("s", ns), kind.sym("mean", ns), kind.sym("information", ns * ns)
     P = ca.reshape(information, ns, ns)
     right = ca.mtimes(P, s - mean)
     full = ca.vertcat(ca.horzcat(ca.dot(s - mean, right), right.T), ca.horzcat(right, P))
@@ -133,32 +134,35 @@ def prior(ns: int) -> ca.Function:
 
 def square(n: int) -> ca.Function:
     """v' H v."""
-    H, v = ca.SX.sym("H", n, n), ca.SX.sym("v", n)
+    kind = tiles.kind(n - 1)
+    H, v = kind.sym("H", n, n), kind.sym("v", n)
     return ca.Function("square", [H, v], [ca.dot(v, ca.mtimes(H, v))])
 
 
 def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
     """-2 w' M ds + FAR |ds / scale|^2 as a symmetric matrix in [1; ds]."""
-    M, w = ca.SX.sym("M", m, 1 + len(scale)), ca.SX.sym("w", m)
+    kind = tiles.kind(len(scale))
+    M, w = kind.sym("M", m, 1 + len(scale)), kind.sym("w", m)
     slope = -ca.mtimes(M[:, 1:].T, w)
-    curvature = ca.SX(ca.diag(ca.DM(FAR / np.array(scale) ** 2)))
+    curvature = kind(ca.diag(ca.DM(FAR / np.array(scale) ** 2)))
     full = ca.vertcat(ca.horzcat(0, slope.T), ca.horzcat(slope, curvature))
     return ca.Function("aim", [M, w], [ca.densify(full)])
 
 
 def free_step(scale: tuple[float, ...]) -> ca.Function:
     """(step, conditioning, cost after the step, inverse in units of `scale`) from the matrix of squares and the regularisation."""
-    ns = len(scale)
+    ns, kind = len(scale), tiles.kind(len(scale))
+    solve = linear.ldl_solve if kind is ca.SX else tiles.solve
 
-    def body(full: ca.SX, lam: ca.SX) -> tuple[ca.SX, ...]:
+    def body(full: Any, lam: Any) -> tuple[Any, ...]:
         S = ca.diag(ca.DM(scale))
         H, g = ca.mtimes([S, full[1:, 1:], S]), ca.mtimes(S, full[1:, 0])
-        solved, pivots = linear.ldl_solve(H + lam * ca.DM.eye(ns), ca.horzcat(-g, ca.DM.eye(ns)))
+        solved, pivots = solve(H + lam * ca.DM.eye(ns), ca.horzcat(-g, ca.DM.eye(ns)))
         step, inverse = solved[:, 0], solved[:, 1:]
         cost = full[0, 0] + 2 * ca.dot(g, step) + ca.dot(step, ca.mtimes(H, step))
         return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), inverse
 
-    return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
+    return tiles.function("reduced", (ns + 1, ns + 1), (1, 1), kind=kind)(body)
 
 
 def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
@@ -166,8 +170,9 @@ def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
 
     def of(inverse: Any, reached: Any) -> Any:
         nx, ns = reached.shape
-        inv, R = ca.SX.sym("inverse", ns, ns), ca.SX.sym("reached", nx, ns)
-        T = ca.mtimes(ca.vertcat(R, ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx))), ca.diag(ca.DM(scale)))
+        kind = tiles.kind(ns)
+        inv, R = kind.sym("inverse", ns, ns), kind.sym("reached", nx, ns)
+        T = ca.mtimes(ca.vertcat(R, ca.horzcat(kind(ns - nx, nx), kind.eye(ns - nx))), ca.diag(ca.DM(scale)))
         whole = ca.densify(ca.mtimes([T, inv, T.T]))
         return ca.Function("covariance", [inv, R], [ca.vec(whole)])(inverse, reached)
 
@@ -176,9 +181,13 @@ def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
 
 def conditioning_of(scale: tuple[float, ...]) -> ca.Function:
     """That of `free_step` alone."""
-    reduced = free_step(scale)
-    full, lam = ca.SX.sym("full", len(scale) + 1, len(scale) + 1), ca.SX.sym("lam")
-    return ca.Function("conditioning", [full, lam], [reduced(full, lam)[1]])
+    ns, kind = len(scale), tiles.kind(len(scale))
+    full, lam = kind.sym("full", ns + 1, ns + 1), kind.sym("lam")
+    if kind is ca.SX:
+        return ca.Function("conditioning", [full, lam], [free_step(scale)(full, lam)[1]])
+    S = ca.diag(ca.DM(scale))
+    _, pivots = tiles.solve(ca.mtimes([S, full[1:, 1:], S]) + lam * ca.DM.eye(ns), ca.DM.zeros(ns, 1))
+    return ca.Function("conditioning", [full, lam], [(ca.mmin(pivots) - lam) / ca.mmax(pivots)])
 
 
 def _constrained(

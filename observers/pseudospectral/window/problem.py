@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from observers.numerics import tiles
 from observers.numerics.exact import product
 from observers.numerics.layout import Layout
 from observers.numerics.semilinear import Split
@@ -148,7 +149,8 @@ class LeastSquares:
 
     @property
     def segment_is_small(self) -> bool:
-        return self.n_rates <= SMALL and self.ny * len(self.points) * self.n_rates <= SMALL_POINTS
+        few = tiles.kind(len(self.scale)) is ca.SX
+        return few and self.n_rates <= SMALL and self.ny * len(self.points) * self.n_rates <= SMALL_POINTS
 
     @property
     def kind(self) -> Any:
