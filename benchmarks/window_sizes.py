@@ -7,6 +7,7 @@ converges, and what is counted is the usual sample.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -18,6 +19,7 @@ from rich.table import Table
 from benchmarks import callgrind
 from benchmarks.compiler import compile_c
 from benchmarks.native import Experiment, build_driver, drive, unpack
+from benchmarks.python_master import drive_from_python
 from fmu_src import export
 from observers.component import Component
 from observers.instance import Instance
@@ -25,7 +27,12 @@ from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
 from reference_models.plant import plant
 
-SAMPLE_TIME, ORDER, SAMPLES, RUNS = 0.1, 5, 60, 3  # [s], of a segment's polynomial, of a run, of which the least time counts
+SAMPLE_TIME, ORDER, SAMPLES, RUNS = (
+    0.1,
+    5,
+    60,
+    3,
+)  # [s], of a segment's polynomial, of a run, of which the least time counts
 NOISE = 1e-2
 
 
@@ -85,6 +92,7 @@ def observer(size: Size) -> Component:
         arrival_cost=True,
         measurement_noise={"y1": NOISE, "y2": NOISE},
         name=f"chain_{size.nx}_{size.L}_{size.segments}",
+        stop_time=1.0,
     )
 
 
@@ -110,14 +118,14 @@ def cost(size: Size, driver: Path, directory: Path) -> Cost:
     functions = fmu.directory / "sources" / "functions.c"
     compile_c([functions], directory / "functions", "-shared", "-lm", cache=directory / f"cache_{component.name}")
     compiled = perf_counter() - begin
-    work = Experiment(measured(size.nx), SAMPLE_TIME, ("y1", "y2"), ["diagnostics.iterations"], {})
+    work = Experiment(measured(size.nx), SAMPLE_TIME, ("y1", "y2"), ["estimate.q0"], {})
     natively = drive(driver, fmu, work, RUNS)
     counted = callgrind.per_sample(driver, fmu, work) if callgrind.is_installed() else np.nan
-    iterations = float(np.mean(natively.record))
+    iterations = drive_from_python(fmu, work).iterations
     return Cost(counted, float(np.min(natively.ns)) / 1e3, iterations, functions.stat().st_size / 1e6, compiled)
 
 
-def exponent(sizes: list[float], costs: list[float]) -> float:
+def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
     """Of the growth between the last two."""
     return float(np.log(costs[-1] / costs[-2]) / np.log(sizes[-1] / sizes[-2]))
 
@@ -136,7 +144,8 @@ def print_growth(out: Console, directory: Path, driver: Path) -> None:
             shown = [f"{c.instructions:,.0f}", f"{c.us:.0f} us", f"{c.iterations:.2f}", f"{c.megabytes:.2f} MB"]
             table.add_row(str(value), *shown, f"{c.compile:.1f} s")
         out.print(table)
-        each = [(c.instructions if callgrind.is_installed() else c.us) / c.iterations for c in map(known.get, sizes)]
+        found = [known[size] for size in sizes]
+        each = [(c.instructions if callgrind.is_installed() else c.us) / c.iterations for c in found]
         out.print(f"An iteration grows with the exponent {exponent(varied, each):.2f} between the last two.")
 
 

@@ -43,7 +43,7 @@ def moved(method: Method) -> ca.Function:
     if eq.z.numel():
         through = linear.qr_solve(ca.jacobian(eq.algebraic, eq.z), ca.densify(ca.jacobian(eq.algebraic, m)))
         slope = slope - ca.mtimes(ca.jacobian(eq.ode, eq.z), through)
-    arguments = at
+    arguments: list[Any] = at
     if kind is ca.MX:
         arguments = [ca.MX.sym(f"at{i}", part.numel()) for i, part in enumerate(at)]
         slope = ca.Function("slope", at, [slope], {"cse": True})(*arguments)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from observers import ports
 from observers.component import Port
+from observers.pseudospectral.window.gauss_newton import FEW_UNKNOWNS
 from observers.pseudospectral.window.iteration import MOST_ITERATIONS
 
 TUNING = (
@@ -70,7 +71,6 @@ TUNING = (
         variability="tunable",
     ),
 )
-FEW_UNKNOWNS = 4  # up to which the limit of TUNING holds
 SMALLEST_LIMIT = 1e-12  # below, rounding takes what is left
 
 

@@ -23,6 +23,8 @@ from observers.pseudospectral.window.problem import LeastSquares
 from observers.pseudospectral.window.quadratic_program import quadratic_program
 
 SLACK_WEIGHT = 1e3  # of a violated row, against the mean square of the residuals in nominal units
+FEW_UNKNOWNS = 4  # beyond, samples come and go before they determine all
+DAMPED = 1e-4  # of the largest diagonal entry: what holds a step where the samples do not determine it
 FAR = 1e-2  # weight of the step in Problem 3, which has no curvature of its own
 
 
@@ -57,6 +59,11 @@ class Solve:
     aim: bool = False
 
     @property
+    def waits(self) -> bool:
+        """Whether steps are damped while the samples do not determine them: there are many unknowns, and no past that decides."""
+        return len(self.problem.scale) > FEW_UNKNOWNS and not (self.arrival or self.aim)
+
+    @property
     def given(self) -> dict[str, int]:
         """Names and lengths of what is fixed within a solve."""
         problem, ns = self.problem, len(self.problem.scale)
@@ -68,6 +75,8 @@ class Solve:
             sizes["at"] = trajectory.sample_rows(problem).numel_out()
         if problem.n_noise:
             sizes["noise_std"] = problem.count * problem.n_noise
+        if self.waits:
+            sizes["determined"] = 2
         if self.arrival:
             sizes |= {"prior_mean": ns, "prior_information": ns * ns}
         if self.constraints.tube:
@@ -96,7 +105,8 @@ def newton_step(solve: Solve) -> ca.Function:
         normal = normal + prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
     if solve.aim:
         normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
-    step, conditioning, cost, inverse = free_step(tuple(problem.scale))(normal, g["lam"])
+    determined = [g["determined"]] if solve.waits else []
+    step, conditioning, cost, inverse = free_step(tuple(problem.scale), solve.waits)(normal, g["lam"], *determined)
     covariance = kind(0, 1) if solve.aim else _covariance(tuple(problem.scale))(inverse, at.reached[:, 1:])
     if solve.arrival:
         conditioning = conditioning_of(tuple(problem.scale))(at.normal, g["lam"])
@@ -149,20 +159,34 @@ def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
     return ca.Function("aim", [M, w], [ca.densify(full)])
 
 
-def free_step(scale: tuple[float, ...]) -> ca.Function:
-    """(step, conditioning, cost after the step, inverse in units of `scale`) from the matrix of squares and the regularisation."""
+def free_step(scale: tuple[float, ...], waits: bool = False) -> ca.Function:
+    """(step, conditioning, cost after the step, inverse in units of `scale`) from the matrix of squares and the regularisation.
+
+    With `waits` a last argument is the conditioning up to which the step is damped (Levenberg's), and the longest that is not, the root
+    of its mean square in units of `scale`: a damped step moves what the samples determine, and leaves the rest near where it is. Its
+    conditioning is not above the limit.
+    """
     ns, kind = len(scale), tiles.kind(len(scale))
     solve = linear.ldl_solve if kind is ca.SX else tiles.solve
 
-    def body(full: Any, lam: Any) -> tuple[Any, ...]:
+    def body(full: Any, lam: Any, determined: Any = None) -> tuple[Any, ...]:
         S = ca.diag(ca.DM(scale))
         H, g = ca.mtimes([S, full[1:, 1:], S]), ca.mtimes(S, full[1:, 0])
-        solved, pivots = solve(H + lam * ca.DM.eye(ns), ca.horzcat(-g, ca.DM.eye(ns)))
+        H_solved, conditioning = H + lam * ca.DM.eye(ns), None
+        if determined is not None:
+            step, pivots = solve(H_solved, -g)
+            conditioning = (ca.mmin(pivots) - lam) / ca.mmax(pivots)
+            free = ca.logic_and(conditioning > determined[0], ca.sumsqr(step) < ns * determined[1] ** 2)
+            H_solved = H_solved + ca.if_else(free, 0, DAMPED * ca.mmax(ca.diag(H))) * ca.DM.eye(ns)
+            conditioning = ca.if_else(free, conditioning, ca.fmin(conditioning, determined[0]))
+        solved, pivots = solve(H_solved, ca.horzcat(-g, ca.DM.eye(ns)))
         step, inverse = solved[:, 0], solved[:, 1:]
         cost = full[0, 0] + 2 * ca.dot(g, step) + ca.dot(step, ca.mtimes(H, step))
-        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), inverse
+        if conditioning is None:
+            conditioning = (ca.mmin(pivots) - lam) / ca.mmax(pivots)
+        return ca.mtimes(S, step), conditioning, ca.fmax(cost, 0), inverse
 
-    return tiles.function("reduced", (ns + 1, ns + 1), (1, 1), kind=kind)(body)
+    return tiles.function("reduced", (ns + 1, ns + 1), (1, 1), *[(2, 1)] * waits, kind=kind)(body)
 
 
 def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:

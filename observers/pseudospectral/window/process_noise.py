@@ -77,7 +77,8 @@ def newton_step(solve: Solve) -> ca.Function:
     samples = to_go
     if solve.arrival:
         to_go = to_go + prior(ns)(s, g["prior_mean"], g["prior_information"])
-    step, conditioning, _, inverse = free_step(scale)(to_go, g["lam"])
+    determined = [g["determined"]] if solve.waits else []
+    step, conditioning, _, inverse = free_step(scale, solve.waits)(to_go, g["lam"], *determined)
     if solve.arrival:
         conditioning = conditioning_of(scale)(samples, g["lam"])
 

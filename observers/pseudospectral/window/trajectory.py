@@ -251,9 +251,7 @@ def node0(problem: LeastSquares) -> ca.Function:
     return ca.Function("node0", [V, Z, x0, theta, p, time, U, active], [worst, least])
 
 
-def _regularity(
-    problem: LeastSquares, xs: Any, V: Any, Z: Any, U: Any, theta: Any, p: Any, t: Any
-) -> Any:
+def _regularity(problem: LeastSquares, xs: Any, V: Any, Z: Any, U: Any, theta: Any, p: Any, t: Any) -> Any:
     """The smallest pivot of g_z at a segment's nodes 0..N; infinite without algebraic variables."""
     s, rates, nq, nz, nu = problem.segment, problem.rates, problem.rates.n_states, problem.rates.n_algebraic, problem.nu
     kind: Any = type(xs)
