@@ -50,7 +50,7 @@ LARGEST, DRIFT, THRESHOLD = 8.0, 2.5, 60.0  # of `doubt`: eleven samples in a ro
 # samples, those that are one deviation off at the thirty-first, and those that are farther off when `doubt` does.
 SLANT, MOST_LEANT, LEANT = 0.5, 2.0, 15.0
 MOST_TRIES = 2  # each with twice the threshold of the one before
-PROVEN = 60  # samples after a restart, or samples in a row that fit, that end it
+PROVEN = 60  # samples after a restart, or samples in a row that fit, that end it; what was trusted before is `settling` for as many
 LOSS, MOST_DISTRUST = 4.0, 500.0  # trust is away for so many samples for each that contradicted, and so many at most
 PROBATION = 1000.0  # the same after a restart of a paper's design, which follows what it is given for very long
 # Samples in a row that fit until trust can be lost for longer; of a paper's design, which converges slowly.
@@ -108,6 +108,7 @@ class Watch:
             "hush",
             "age",
             "restarted",
+            "proving",
         )
         ny = len(self.model.outputs)
         return Layout(tests=memory_size(ny), lean=2 * ny, **dict.fromkeys(single, 1))
@@ -239,6 +240,7 @@ def verdict(
             "quiet": quiet,
             "earned": earned,
             "distrust": distrust,
+            "proving": ca.if_else(again, s.earned, s.proving),  # what was never trusted starts as at first
             "hush": ca.if_else(fresh, 0, hush),
             "age": ca.if_else(ca.logic_or(again, fresh), 0, ca.fmin(s.age + (dof > 0), PROVEN)),
             "tries": tries,
@@ -253,7 +255,7 @@ def verdict(
     )
     cases = (
         (ca.sum1(outlying) > 0, CODE.outlier),
-        (ca.logic_not(settled), CODE.settling),
+        (s.age < ca.if_else(s.proving, PROVEN, watch.settle), CODE.settling),
         (ca.logic_or(contradicted, distrust > LOSS), CODE.inconsistent),
     )
     return Verdict(after, ca.logic_and(again, ca.logic_not(restart)), restart, cases)

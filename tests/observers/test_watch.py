@@ -223,6 +223,16 @@ def test_trust_is_away_for_four_samples_for_each_that_contradicted_and_five_hund
         assert least <= away <= most and set(later[away:]) == {CODE.estimating}
 
 
+def test_what_was_trusted_and_started_again_is_settling_until_sixty_samples_are_known() -> None:
+    """What never was settles for four."""
+    for samples, away in ((100, 60), (SETTLED, SETTLED)):
+        watched = Watched(samples=samples)
+        assert until(watched, (40.0, 0.0)) == (10, "inflate")
+        later = watched.calm(100)
+        assert later.index(CODE.estimating) == away and set(later[away:]) == {CODE.estimating}
+        assert later[away - 1] == CODE.settling
+
+
 def test_after_a_restart_of_a_papers_design_it_is_away_for_a_thousand() -> None:
     watched = Watched(weighted=True, samples=SETTLED)
     assert until(watched, (40.0, 0.0)) == (10, "inflate")
