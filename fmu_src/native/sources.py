@@ -57,6 +57,8 @@ _CASADI_HEAD = """\
 BEGIN_INTERNAL
 """
 _CASADI_TAIL = "END_INTERNAL\n"
+# CasADi's comments that print a constant matrix, which is in a table already: of 32 states half a megabyte.
+_CONSTANT = re.compile(r"^  /\* #\d+: @\d+ = \n(?:(?!\*/).*\n)*?.*\*/\n", re.MULTILINE)
 
 # In fmpy's copy of the standard's header: the part that it says to have changed, "to add no prefix".
 _UNPREFIXED = re.compile(r"/\*\s*Export FMI2 API functions.*?#define fmi2FullName\(name\) name\n", re.S)
@@ -161,7 +163,7 @@ def functions(component: Component, plant: str = "") -> dict[str, bytes]:
     code, header = (ours.sub(rf"{component.name}_\1", text) for text in (code, header))
     if plant:
         code = re.sub(rf"\b(fwd1_)?{plant}_", rf"{component.name}_\1plant_", code)
-    code = with_fast_products(code)
+    code = with_fast_products(_CONSTANT.sub("", code))
     return {"functions.c": (_CASADI_HEAD + code + _CASADI_TAIL).encode(), "functions.h": header.encode()}
 
 

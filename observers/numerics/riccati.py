@@ -88,8 +88,8 @@ def _short_step(A: Any, W: Any, S: Any, h: Any, measured: bool) -> list[Any]:
             h / j * (S @ E12 - A.T @ E22),
         )
         E11, E22 = one + F11, one + F22
-    both = _solve(E22.T, ca.horzcat(-F22.T, E12.T))
-    return [both[:, :n], symmetric(both[:, n:].T), symmetric(_solve(E22, E21))]
+    both, _ = tiles.solve(E22.T, ca.horzcat(-F22.T, E12.T))
+    return [both[:, :n], symmetric(both[:, n:].T), symmetric(tiles.solve(E22, E21)[0])]
 
 
 @cache
@@ -132,14 +132,6 @@ def _inverse(n: int) -> ca.Function:
     """inverse(X) -> (I + X)^-1 for a product X of two semidefinite matrices: no eigenvalue below 1, but pivots can vanish."""
     X = ca.SX.sym("X", n, n)
     return ca.Function("inverse", [X], [linear.qr_solve(ca.SX.eye(n) + X, ca.SX.eye(n))])
-
-
-def _solve(A: Any, B: Any) -> Any:
-    """A^-1 B for A near the identity."""
-    offsets = [0]
-    for rows in tiles.sizes(A.shape[0], tiles.TILE):
-        offsets.append(offsets[-1] + rows)
-    return ca.vertcat(*tiles.solve_tiles(ca.blocksplit(A, offsets, offsets), ca.vertsplit(B, offsets)))
 
 
 def _pack(parts: list[Any]) -> Any:

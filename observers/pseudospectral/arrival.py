@@ -23,7 +23,7 @@ import numpy as np
 from observers import ports
 from observers.component import Port
 from observers.model import Model, ModelError
-from observers.numerics import algebraic, linear
+from observers.numerics import algebraic, linear, tiles
 from observers.numerics.finite import HUGE
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.sample import Instant, Window
@@ -109,7 +109,7 @@ def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) ->
     if not wanted:
         return {}
     ns = len(scale)
-    P, S = ca.SX.sym("P", ns * ns), ca.diag(ca.DM(scale))
+    P, S = tiles.kind(ns).sym("P", ns * ns), ca.diag(ca.DM(scale))
     scaled = ca.vec(ca.solve(S, ca.solve(S, _information(scale)(P)).T))
     return {
         "prior_mean": s.prior_mean,
@@ -119,10 +119,10 @@ def given(wanted: bool, s: SimpleNamespace, scale: np.ndarray, weight: float) ->
 
 def _information(scale: np.ndarray) -> ca.Function:
     """P (ns^2) -> P^-1 (ns x ns), in units of `scale`; a direction without uncertainty gets a large weight, not an infinite one."""
-    ns = len(scale)
-    P, S = ca.SX.sym("P", ns * ns), ca.diag(ca.DM(scale))
-    inside = ca.solve(S, ca.solve(S, ca.reshape(P, ns, ns)).T)
-    information = linear.inverse(inside + SMALLEST**2 * ca.SX.eye(ns))
+    ns, kind = len(scale), tiles.kind(len(scale))
+    P, S = kind.sym("P", ns * ns), ca.diag(ca.DM(scale))
+    inside = ca.solve(S, ca.solve(S, ca.reshape(P, ns, ns)).T) + SMALLEST**2 * kind.eye(ns)
+    information = linear.inverse(inside) if kind is ca.SX else tiles.solve(inside, kind.eye(ns))[0]
     return ca.Function("scaled_information", [P], [(information + information.T) / 2])
 
 
@@ -186,34 +186,51 @@ def _moved_on(method: Method) -> ca.Function:
     problem = method.problem
     nx, ns, ny, nu = problem.nx, len(problem.scale), problem.ny, problem.nu
     sizes = (ns, ns, ns * ns, nx, nx * (ns + problem.n_noise), len(problem.noisy_states))
-    parts = [ca.SX.sym(name, size) for name, size in zip(("s", "mean", "P", "x1", "S1", "held"), sizes, strict=True)]
+    kind = tiles.kind(ns)
+    parts = [kind.sym(name, size) for name, size in zip(("s", "mean", "P", "x1", "S1", "held"), sizes, strict=True)]
     around, mean, P, x1, S1, held = parts
     S1 = ca.reshape(S1, nx, ns + problem.n_noise)
     Gamma = S1[:, ns : ns + len(problem.noisy_states)]
     P = ca.reshape(P, ns, ns)
-    theta = around[nx:] if ns > nx else ca.SX(0, 1)  # an empty slice would be 1 x 0
-    y0, there, u0 = ca.SX.sym("y0", ny), ca.SX.sym("valid", ny), ca.SX.sym("u0", nu)
-    p, t, z0 = ca.SX.sym("p", problem.n_parameters), ca.SX.sym("t"), ca.SX.sym("z0", len(method.model.algebraic))
-    noise, intensity = ca.SX.sym("noise", ny), ca.SX.sym("drift", ns)
-    drift = ca.SX(intensity)
-    expected, _ = algebraic.measurement(method.equations)(around[:nx], u0, p, theta, t, z0)
-    M = ca.diag(there) @ ca.densify(ca.jacobian(expected, around))
+    theta = around[nx:] if ns > nx else kind(0, 1)  # an empty slice would be 1 x 0
+    y0, there, u0 = kind.sym("y0", ny), kind.sym("valid", ny), kind.sym("u0", nu)
+    p, t, z0 = kind.sym("p", problem.n_parameters), kind.sym("t"), kind.sym("z0", len(method.model.algebraic))
+    noise, intensity = kind.sym("noise", ny), kind.sym("drift", ns)
+    drift = kind(intensity)
+    expected, slope = _seen(method)(around, u0, p, t, z0)
+    M = ca.diag(there) @ slope
     innovation = ca.if_else(there, y0 - expected - ca.mtimes(M, mean - around), 0)
     PM, R = ca.mtimes(P, M.T), ca.diag(noise**2)
-    G = linear.qr_solve(ca.mtimes(M, PM) + R, PM.T).T
+    G = _gain(ny, ns)(ca.mtimes(M, PM) + R, PM)
     corrected = mean + ca.mtimes(G, innovation)
-    left = ca.SX.eye(ns) - ca.mtimes(G, M)
+    left = kind.eye(ns) - ca.mtimes(G, M)
     after = ca.mtimes([left, P, left.T]) + ca.mtimes([G, R, G.T])
-    A = ca.vertcat(S1[:, :ns], ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx)))
+    A = ca.vertcat(S1[:, :ns], ca.horzcat(kind(ns - nx, nx), kind.eye(ns - nx)))
     new_mean = ca.vertcat(x1, theta) + ca.mtimes(A, corrected - around)
     new_P = ca.mtimes([A, after, A.T])
     Ts, noisy = problem.segment.sample_time, list(problem.noisy_states)
     if noisy:
-        new_mean -= ca.vertcat(ca.mtimes(Gamma, held), ca.SX(ns - nx, 1))
+        new_mean -= ca.vertcat(ca.mtimes(Gamma, held), kind(ns - nx, 1))
         spread = ca.mtimes([Gamma, ca.diag(drift[noisy] ** 2), Gamma.T]) / Ts
-        new_P += ca.diagcat(spread, ca.SX(ns - nx, ns - nx))
+        new_P += ca.diagcat(spread, kind(ns - nx, ns - nx))
         drift[noisy] = 0
     new_P += ca.diag(drift**2 * Ts)
     new_P = ca.vec((new_P + new_P.T) / 2)
     arguments = [*parts, y0, there, u0, p, t, z0, noise, intensity]
     return ca.Function("advance_prior", arguments, [new_mean, new_P], {"cse": True})
+
+
+def _seen(method: Method) -> ca.Function:
+    """(s, u, p, t, z0) -> the outputs, and their derivative by s = [x; theta]."""
+    measure, nx = algebraic.measurement(method.equations), method.problem.nx
+    s = ca.SX.sym("s", len(method.problem.scale))
+    u, p, t, z0 = (ca.SX.sym(name, measure.numel_in(i)) for name, i in (("u", 1), ("p", 2), ("t", 4), ("z0", 5)))
+    theta = s[nx:] if s.numel() > nx else ca.SX(0, 1)
+    expected, _ = measure(s[:nx], u, p, theta, t, z0)
+    return ca.Function("seen", [s, u, p, t, z0], [expected, ca.densify(ca.jacobian(expected, s))])
+
+
+def _gain(ny: int, ns: int) -> ca.Function:
+    """(S, P M') -> P M' S^-1."""
+    S, PM = ca.SX.sym("S", ny, ny), ca.SX.sym("PM", ns, ny)
+    return ca.Function("gain", [S, PM], [linear.qr_solve(S, PM.T).T])

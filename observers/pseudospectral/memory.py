@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from observers.numerics import tiles
 from observers.numerics.layout import Layout
 from observers.pseudospectral import arrival, bounded_noise, covariance, innovation_test
 from observers.pseudospectral.method import Method
@@ -62,7 +63,8 @@ def layout(method: Method) -> Layout:
 def start(method: Method) -> ca.Function:
     """start(p, t0) -> z: the guess, and a window without samples."""
     state = layout(method)
-    p, t = ca.SX.sym("p", method.settings.total), ca.SX.sym("t")
+    kind = tiles.kind(len(method.problem.scale))
+    p, t = kind.sym("p", method.settings.total), kind.sym("t")
     q = method.settings.unpack(p)
     inputs = ca.DM([v.start for v in method.model.inputs])
     first = {part: ca.DM.zeros(size) for part, size in state.sizes.items()} | {

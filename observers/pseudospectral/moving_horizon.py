@@ -98,7 +98,7 @@ def _next(
         "innovation": window.innovation,
         "model": now.q.model,
         "k": s.k + 1,
-        "fresh": next_origin(now, start, solution.accepted, solution.failed),
+        "fresh": next_origin(now, start, solution.goes_on, ca.logic_or(solution.failed, solution.undetermined)),
         "changed": worth.changed,
         "status": worth.status,
         "cost": solution.cost,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from observers import ports
 from observers.component import Port
 from observers.model import Model
+from observers.pseudospectral.window.gauss_newton import FEW_UNKNOWNS
 from observers.pseudospectral.window.iteration import MOST_ITERATIONS
 
 TUNING = (
@@ -71,7 +72,6 @@ TUNING = (
         variability="tunable",
     ),
 )
-FEW_UNKNOWNS = 4  # up to which the limit of TUNING holds
 SMALLEST_LIMIT = 1e-12  # below, rounding takes what is left
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from observers.numerics import algebraic
+from observers.numerics import algebraic, tiles
 from observers.numerics.finite import HUGE
 from observers.numerics.runge_kutta import runge_kutta
 from observers.pseudospectral import covariance, memory
@@ -20,13 +20,14 @@ def flow(method: Method) -> ca.Function:
     """
     model, layout = method.model, memory.layout(method)
     eq, ny, nu = model.equations, len(model.outputs), len(model.inputs)
-    z, u = ca.SX.sym("z", layout.total), ca.SX.sym("u", 2 * ny + nu)
-    p, t, h = ca.SX.sym("p", method.settings.total), ca.SX.sym("t"), ca.SX.sym("h")
+    kind = tiles.kind(len(method.problem.scale))
+    z, u = kind.sym("z", layout.total), kind.sym("u", 2 * ny + nu)
+    p, t, h = kind.sym("p", method.settings.total), kind.sym("t"), kind.sym("h")
     s, q = layout.unpack(z), method.settings.unpack(p)
-    known = u[ny : ny + nu] if nu else ca.SX(0, 1)
+    known = u[ny : ny + nu] if nu else kind(0, 1)
     motion = algebraic.motion(eq)
     moved = runge_kutta(lambda x, time: motion(x, known, q.model, s.theta, time, s.z)[0], s.x, t, h)
-    drift = q.process_noise if q.process_noise.numel() else ca.SX.zeros(len(method.problem.scale))
+    drift = q.process_noise if q.process_noise.numel() else kind.zeros(len(method.problem.scale))
     followed = algebraic.followed(eq, [v.nominal for v in model.algebraic])
     moved_z, lost = followed(moved, s.z, known, q.model, s.theta, t + h)
     sound = ca.logic_and(ca.sumsqr(ca.vertcat(moved, moved_z)) < HUGE, ca.logic_not(lost))

@@ -21,6 +21,7 @@ from observers.pseudospectral.window.iteration import iterate
 from observers.pseudospectral.window.spline import spline_matrix
 from observers.pseudospectral.window.trajectory import Trajectory
 
+NEAR = 1.0  # step, in nominal values, up to which a growing window of many unknowns is taken to determine them
 VIOLATED = 1e-6  # slack beyond which the constraints contradict each other, in nominal units
 
 
@@ -40,11 +41,12 @@ class Reference:
 
 @dataclass(frozen=True)
 class Solution:
-    """What became of Problem 2 at this sample: its trajectory where `accepted`, else the one that it started from.
+    """What became of Problem 2 at this sample: its trajectory where it `goes_on`, else the one that it started from.
 
     `kept`: the prediction was good enough, without a solve. `failed`: the solve did not converge. `undetermined`: it did, but the window
-    does not determine the state. `cost` of `trajectory`, `cost_after` of the solve; `conditioning`, `slack` and `iterations` as
-    `iterate` returns them, `covariance` (ns^2) of [x; theta] at t_k, of which `fit_noise` is a factor.
+    does not determine the state. `goes_on`: the next solve starts from its trajectory. `cost` of `trajectory`, `cost_after` of the
+    solve; `conditioning`, `slack` and `iterations` as `iterate` returns them, `covariance` (ns^2) of [x; theta] at t_k, of which
+    `fit_noise` is a factor.
     `bounds`: what `bounded_noise` keeps, empty without a tube.
     """
 
@@ -53,6 +55,7 @@ class Solution:
     kept: Any
     failed: Any
     undetermined: Any
+    goes_on: Any
     cost: Any
     cost_after: Any
     conditioning: Any
@@ -101,25 +104,31 @@ def solve(method: Method, now: Instant, window: Window, start: Start, ref: Refer
     V, Z, unknown, noise = start.trajectory
     residual = output_residual(problem)(V, Z, unknown, window.noise_std * noise, window.data, q.model, ref.y)
     before = ca.dot(ref.weight, residual**2)
-    wanted = ca.logic_and(ref.enough, ca.sum1(window.valid) > 0)
+    waits = Solve(problem, method.constraints, method.arrival).waits
+    wanted = ca.logic_and(ref.enough if not waits else 1, ca.sum1(window.valid) > 0)
     below = ca.logic_and(before < q.cost_threshold, start.warm)
     due = ca.logic_and(wanted, ca.logic_not(below))
     given = _given(method, now, window, ref)
     found, bounds = _solved(method, now, window, start, due, given, residual)
     *new, size, cost_after, conditioning, spread, slack, iterations = found
-    converged, determined = _acceptable(method, now, new, size, conditioning, due)
+    converged, determined = _acceptable(method, now, new, size, due, conditioning > _conditioning_limit(now, ref))
     accepted = ca.logic_and(converged, determined)
-    # A window that still grows and does not determine the state yet has not failed: it waits for more samples.
-    short = 0 if method.arrival else ca.logic_and(ca.logic_not(window.moving), conditioning <= q.conditioning_limit)
-    waiting = ca.logic_and(ca.logic_and(due, ca.logic_not(converged)), short)
+    # A window that still grows and does not determine the state yet has not failed: it waits for more samples. One of many unknowns
+    # follows the samples meanwhile, in steps that are damped.
+    short = 0 if method.arrival else conditioning <= _conditioning_limit(now, ref)
+    follows = ca.logic_and(ca.logic_and(due, short), size < len(problem.scale) * NEAR**2) if waits else 0
+    waiting = ca.logic_and(short, ca.logic_or(ca.logic_not(window.moving), follows))
+    waiting = ca.logic_and(ca.logic_and(due, ca.logic_not(converged)), waiting)
+    goes_on = ca.logic_or(accepted, follows)
     pairs = zip(new, start.trajectory, strict=True)
     fit_noise = _noise(method, window, cost_after)
     return Solution(
-        trajectory=Trajectory(*(ca.if_else(accepted, after, old) for after, old in pairs)),
+        trajectory=Trajectory(*(ca.if_else(goes_on, after, old) for after, old in pairs)),
         accepted=accepted,
         kept=ca.logic_and(wanted, ca.logic_not(due)),
         failed=ca.logic_and(due, ca.logic_not(ca.logic_or(converged, waiting))),
         undetermined=ca.logic_or(ca.logic_and(converged, ca.logic_not(determined)), waiting),
+        goes_on=goes_on,
         # Where the start lies outside the domain of the model's functions, so do they: nothing is lost by showing the last cost.
         cost=kept(ca.if_else(accepted, cost_after, ca.if_else(ref.enough, before, 0)), now.s.cost),
         cost_after=cost_after,
@@ -143,16 +152,19 @@ def _noise(method: Method, window: Window, cost: Any) -> Any:
     return cost / ca.fmax(ca.sum1(window.W) - len(method.problem.scale) - 2, 1)
 
 
-def _acceptable(
-    method: Method, now: Instant, new: list[Any], size: Any, conditioning: Any, due: Any
-) -> tuple[Any, Any]:
+def _acceptable(method: Method, now: Instant, new: list[Any], size: Any, due: Any, determined: Any) -> tuple[Any, Any]:
     """Whether the solve converged, to numbers, and whether the samples determine the state; else the prediction is kept.
 
     With an arrival cost the past decides what the window leaves open.
     """
     sound = ca.sumsqr(ca.vertcat(*new)) < HUGE
     converged = ca.logic_and(ca.logic_and(due, sound), size < now.q.tolerance**2)
-    return converged, 1 if method.arrival else conditioning > now.q.conditioning_limit
+    return converged, 1 if method.arrival else determined
+
+
+def _conditioning_limit(now: Instant, ref: Reference) -> Any:
+    """The conditioning up to which the window does not determine the state; of fewer samples than unknowns none is enough."""
+    return ca.if_else(ref.enough, now.q.conditioning_limit, 1)
 
 
 def _given(method: Method, now: Instant, window: Window, ref: Reference) -> dict[str, Any]:
@@ -165,6 +177,7 @@ def _given(method: Method, now: Instant, window: Window, ref: Reference) -> dict
         "at": at,
         "noise_std": window.noise_std,
         "active": window.active,
+        "determined": ca.vertcat(_conditioning_limit(now, ref), ca.if_else(window.moving, HUGE, NEAR)),
         **arrival.given(method.arrival, now.s, method.problem.scale, Ts),
     }
 

@@ -62,10 +62,10 @@ def warm_start(method: Method, now: Instant, window: Window) -> Start:
     return Start(Trajectory(V, Z, ca.vertcat(x0, theta), noise), origin)
 
 
-def next_origin(now: Instant, start: Start, accepted: Any, failed: Any) -> Any:
+def next_origin(now: Instant, start: Start, goes_on: Any, failed: Any) -> Any:
     """Where the next sample's solve starts from."""
     after_failure = ca.if_else(now.s.fresh == AT_PREDICTION, AT_GUESS, AT_PREDICTION)
-    return ca.if_else(accepted, WARM, ca.if_else(failed, after_failure, start.origin))
+    return ca.if_else(goes_on, WARM, ca.if_else(failed, after_failure, start.origin))
 
 
 def _shifted_noise(method: Method, noise: Any) -> Any:

@@ -75,8 +75,9 @@ def _with_noise(problem: LeastSquares, j: int, data: Any, noise: Any) -> Any:
 def end(problem: LeastSquares) -> ca.Function:
     """end(xs, V, forced_end) -> the state at the segment's end."""
     Ph, Ps = problem.segment.at(np.array([problem.segment.length]))
-    arguments = [ca.SX.sym("xs", problem.nx), ca.SX.sym("V", problem.n_rates), ca.SX.sym("c", problem.nx)]
-    return ca.Function("end", arguments, [affine(ca.SX, Ph, arguments[0], Ps, arguments[1], arguments[2])])
+    kind = tiles.kind(len(problem.scale))
+    arguments = [kind.sym("xs", problem.nx), kind.sym("V", problem.n_rates), kind.sym("c", problem.nx)]
+    return ca.Function("end", arguments, [affine(kind, Ph, arguments[0], Ps, arguments[1], arguments[2])])
 
 
 def symbols(problem: LeastSquares, kind: Any) -> tuple[Any, ...]:
@@ -304,13 +305,15 @@ def _condense(problem: LeastSquares, kind: Any, at: Along, RG: Any) -> tuple[lis
         known = rows(at.known.known, size, ne)
         arguments = [xq, known, at.p, at.theta, rows(at.Z, size, nz), rows(at.V, size, nv), moved]
         slope, right, z = collocated[size](*arguments)
-        row, column = [], 0
+        row, column, pattern = [], 0, tuple(slope.sparsity().compress())
         for other in sizes:
             c = slice(column * nv, (column + other) * nv)
-            row.append(groups.tile(nv, nq, size, other, first == column)(slope, kind(ca.DM(PsQ[q, c]))))
+            row.append(groups.tile(nv, nq, size, other, first == column, pattern)(slope, kind(ca.DM(PsQ[q, c]))))
             column += other
         A.append(row)
         b.append(right)
         z_new.append(z)
         first += size
+    if nv > tiles.TILE and kind is ca.MX:
+        return [tiles.solve(ca.blockcat(A), ca.vertcat(*b))[0]], ca.vertcat(*z_new)
     return tiles.solve_tiles(A, b), ca.vertcat(*z_new)

@@ -23,6 +23,8 @@ from observers.pseudospectral.window.problem import LeastSquares
 from observers.pseudospectral.window.quadratic_program import quadratic_program
 
 SLACK_WEIGHT = 1e3  # of a violated row, against the mean square of the residuals in nominal units
+FEW_UNKNOWNS = 4  # beyond, samples come and go before they determine all
+DAMPED = 1e-4  # of the largest diagonal entry: what holds a step where the samples do not determine it
 FAR = 1e-2  # weight of the step in Problem 3, which has no curvature of its own
 
 
@@ -58,6 +60,11 @@ class Solve:
     aim: bool = False
 
     @property
+    def waits(self) -> bool:
+        """Whether steps are damped while the samples do not determine them: there are many unknowns, and no past that decides."""
+        return len(self.problem.scale) > FEW_UNKNOWNS and not (self.arrival or self.aim)
+
+    @property
     def given(self) -> dict[str, int]:
         """Names and lengths of what is fixed within a solve."""
         problem, ns = self.problem, len(self.problem.scale)
@@ -69,6 +76,8 @@ class Solve:
             sizes["at"] = trajectory.sample_rows(problem).numel_out()
         if problem.n_noise:
             sizes["noise_std"] = problem.count * problem.n_noise
+        if self.waits:
+            sizes["determined"] = 2
         if self.arrival:
             sizes |= {"prior_mean": ns, "prior_information": ns * ns}
         if self.constraints.tube:
@@ -97,7 +106,8 @@ def newton_step(solve: Solve) -> ca.Function:
         normal = normal + prior(len(problem.scale))(s, g["prior_mean"], g["prior_information"])
     if solve.aim:
         normal = _aim(tuple(problem.scale), at.sensitivity.shape[0])(at.sensitivity, g["w"])
-    step, conditioning, cost, inverse = free_step(tuple(problem.scale))(normal, g["lam"])
+    determined = [g["determined"]] if solve.waits else []
+    step, conditioning, cost, inverse = free_step(tuple(problem.scale), solve.waits)(normal, g["lam"], *determined)
     covariance = kind(0, 1) if solve.aim else _covariance(tuple(problem.scale))(inverse, at.reached[:, 1:])
     if solve.arrival:
         conditioning = conditioning_of(tuple(problem.scale))(at.normal, g["lam"])
@@ -125,7 +135,8 @@ def newton_step(solve: Solve) -> ca.Function:
 
 def prior(ns: int) -> ca.Function:
     """|s + ds - mean|^2_information as a symmetric matrix in [1; ds]."""
-    s, mean, information = ca.SX.sym("s", ns), ca.SX.sym("mean", ns), ca.SX.sym("information", ns * ns)
+    kind = tiles.kind(ns)
+    s, mean, information = kind.sym("s", ns), kind.sym("mean", ns), kind.sym("information", ns * ns)
     P = ca.reshape(information, ns, ns)
     right = ca.mtimes(P, s - mean)
     full = ca.vertcat(ca.horzcat(ca.dot(s - mean, right), right.T), ca.horzcat(right, P))
@@ -134,32 +145,49 @@ def prior(ns: int) -> ca.Function:
 
 def square(n: int) -> ca.Function:
     """v' H v."""
-    H, v = ca.SX.sym("H", n, n), ca.SX.sym("v", n)
+    kind = tiles.kind(n - 1)
+    H, v = kind.sym("H", n, n), kind.sym("v", n)
     return ca.Function("square", [H, v], [ca.dot(v, ca.mtimes(H, v))])
 
 
 def _aim(scale: tuple[float, ...], m: int) -> ca.Function:
     """-2 w' M ds + FAR |ds / scale|^2 as a symmetric matrix in [1; ds]."""
-    M, w = ca.SX.sym("M", m, 1 + len(scale)), ca.SX.sym("w", m)
+    kind = tiles.kind(len(scale))
+    M, w = kind.sym("M", m, 1 + len(scale)), kind.sym("w", m)
     slope = -ca.mtimes(M[:, 1:].T, w)
-    curvature = ca.SX(ca.diag(ca.DM(FAR / np.array(scale) ** 2)))
+    curvature = kind(ca.diag(ca.DM(FAR / np.array(scale) ** 2)))
     full = ca.vertcat(ca.horzcat(0, slope.T), ca.horzcat(slope, curvature))
     return ca.Function("aim", [M, w], [ca.densify(full)])
 
 
-def free_step(scale: tuple[float, ...]) -> ca.Function:
-    """(step, conditioning, cost after the step, inverse in units of `scale`) from the matrix of squares and the regularisation."""
-    ns = len(scale)
+def free_step(scale: tuple[float, ...], waits: bool = False) -> ca.Function:
+    """(step, conditioning, cost after the step, inverse in units of `scale`) from the matrix of squares and the regularisation.
 
-    def body(full: ca.SX, lam: ca.SX) -> tuple[ca.SX, ...]:
+    With `waits` a last argument is the conditioning up to which the step is damped (Levenberg's), and the longest that is not, the root
+    of its mean square in units of `scale`: a damped step moves what the samples determine, and leaves the rest near where it is. Its
+    conditioning is not above the limit.
+    """
+    ns, kind = len(scale), tiles.kind(len(scale))
+    solve = linear.ldl_solve if kind is ca.SX else tiles.solve
+
+    def body(full: Any, lam: Any, determined: Any = None) -> tuple[Any, ...]:
         S = ca.diag(ca.DM(scale))
         H, g = ca.mtimes([S, full[1:, 1:], S]), ca.mtimes(S, full[1:, 0])
-        solved, pivots = linear.ldl_solve(H + lam * ca.DM.eye(ns), ca.horzcat(-g, ca.DM.eye(ns)))
+        H_solved, conditioning = H + lam * ca.DM.eye(ns), None
+        if determined is not None:
+            step, pivots = solve(H_solved, -g)
+            conditioning = (ca.mmin(pivots) - lam) / ca.mmax(pivots)
+            free = ca.logic_and(conditioning > determined[0], ca.sumsqr(step) < ns * determined[1] ** 2)
+            H_solved = H_solved + ca.if_else(free, 0, DAMPED * ca.mmax(ca.diag(H))) * ca.DM.eye(ns)
+            conditioning = ca.if_else(free, conditioning, ca.fmin(conditioning, determined[0]))
+        solved, pivots = solve(H_solved, ca.horzcat(-g, ca.DM.eye(ns)))
         step, inverse = solved[:, 0], solved[:, 1:]
         cost = full[0, 0] + 2 * ca.dot(g, step) + ca.dot(step, ca.mtimes(H, step))
-        return ca.mtimes(S, step), (ca.mmin(pivots) - lam) / ca.mmax(pivots), ca.fmax(cost, 0), inverse
+        if conditioning is None:
+            conditioning = (ca.mmin(pivots) - lam) / ca.mmax(pivots)
+        return ca.mtimes(S, step), conditioning, ca.fmax(cost, 0), inverse
 
-    return tiles.function("reduced", (ns + 1, ns + 1), (1, 1))(body)
+    return tiles.function("reduced", (ns + 1, ns + 1), (1, 1), *[(2, 1)] * waits, kind=kind)(body)
 
 
 def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
@@ -167,8 +195,9 @@ def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
 
     def of(inverse: Any, reached: Any) -> Any:
         nx, ns = reached.shape
-        inv, R = ca.SX.sym("inverse", ns, ns), ca.SX.sym("reached", nx, ns)
-        T = ca.mtimes(ca.vertcat(R, ca.horzcat(ca.SX(ns - nx, nx), ca.SX.eye(ns - nx))), ca.diag(ca.DM(scale)))
+        kind = tiles.kind(ns)
+        inv, R = kind.sym("inverse", ns, ns), kind.sym("reached", nx, ns)
+        T = ca.mtimes(ca.vertcat(R, ca.horzcat(kind(ns - nx, nx), kind.eye(ns - nx))), ca.diag(ca.DM(scale)))
         whole = ca.densify(ca.mtimes([T, inv, T.T]))
         return ca.Function("covariance", [inv, R], [ca.vec(whole)])(inverse, reached)
 
@@ -177,9 +206,13 @@ def _covariance(scale: tuple[float, ...]) -> Callable[[Any, Any], Any]:
 
 def conditioning_of(scale: tuple[float, ...]) -> ca.Function:
     """That of `free_step` alone."""
-    reduced = free_step(scale)
-    full, lam = ca.SX.sym("full", len(scale) + 1, len(scale) + 1), ca.SX.sym("lam")
-    return ca.Function("conditioning", [full, lam], [reduced(full, lam)[1]])
+    ns, kind = len(scale), tiles.kind(len(scale))
+    full, lam = kind.sym("full", ns + 1, ns + 1), kind.sym("lam")
+    if kind is ca.SX:
+        return ca.Function("conditioning", [full, lam], [free_step(scale)(full, lam)[1]])
+    S = ca.diag(ca.DM(scale))
+    _, pivots = tiles.solve(ca.mtimes([S, full[1:, 1:], S]) + lam * ca.DM.eye(ns), ca.DM.zeros(ns, 1))
+    return ca.Function("conditioning", [full, lam], [(ca.mmin(pivots) - lam) / ca.mmax(pivots)])
 
 
 def _active(g: Mapping[str, Any], rows: list[int]) -> Any:

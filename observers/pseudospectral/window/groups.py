@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import casadi as ca
 
@@ -11,19 +12,20 @@ from observers.pseudospectral.window.pointwise import Pointwise
 
 
 @cache
-def tile(nv: int, nq: int, size: int, other: int, diagonal: bool) -> ca.Function:
-    """-blk(phi_x) PsQ, plus the identity on the diagonal; phi_x stacked (size nv x nq)."""
+def tile(nv: int, nq: int, size: int, other: int, diagonal: bool, pattern: tuple[int, ...]) -> ca.Function:
+    """-blk(phi_x) PsQ, plus the identity on the diagonal; phi_x stacked (size nv x nq), with the compressed sparsity `pattern`."""
 
     def body(slope: ca.SX, PsQ: ca.SX) -> ca.SX:
         rows = [-ca.mtimes(slope[j * nv : (j + 1) * nv, :], PsQ[j * nq : (j + 1) * nq, :]) for j in range(size)]
         return ca.vertcat(*rows) + (ca.SX(ca.DM.eye(size * nv)) if diagonal else 0)
 
     name = f"tile_{nv}_{nq}_{size}_{other}{'_d' if diagonal else ''}"
-    return tiles.function(name, (size * nv, nq), (size * nq, other * nv))(body)
+    slope, PsQ = ca.SX.sym("slope", ca.Sparsity.compressed(list(pattern))), ca.SX.sym("PsQ", size * nq, other * nv)
+    return ca.Function(name, [slope, PsQ], [ca.densify(body(slope, PsQ))])
 
 
 def collocated(rates: Pointwise, size: int, n: int, n_noise: int = 0) -> ca.Function:
-    """phi_x stacked (size nv x nq), the right-hand side [phi - V, 0, phi_theta, 0] + phi_x PhQ RG of `size` nodes, and z there."""
+    """phi_x stacked (size nv x nq, sparse), the right-hand side [phi - V, 0, phi_theta, 0] + phi_x PhQ RG of `size` nodes, and z there."""
     nq, ne, nv, nz = rates.n_states, rates.n_known, rates.n, rates.n_algebraic
     n_p, n_theta = rates.value.numel_in(2), rates.value.numel_in(3)
 
@@ -38,7 +40,7 @@ def collocated(rates: Pointwise, size: int, n: int, n_noise: int = 0) -> ca.Func
             own = ca.horzcat(value - V[j * nv : (j + 1) * nv], between, by_theta, ca.SX(nv, n_noise))
             right.append(own + ca.mtimes(slope, moved[q, :]))
             algebraic.append(rates.solved(*at)[0])
-        return ca.vertcat(*slopes), ca.vertcat(*right), ca.vertcat(*algebraic)
+        return ca.sparsify(ca.vertcat(*slopes)), ca.vertcat(*right), ca.vertcat(*algebraic)
 
     shapes = [(size * nq, 1), (size * ne, 1), (n_p, 1), (n_theta, 1), (size * nz, 1), (size * nv, 1), (size * nq, n)]
     return tiles.function(f"collocated_{size}", *shapes)(body)
@@ -76,8 +78,8 @@ def chain(n: int, nh: int, size: int, m: int) -> ca.Function:
 def normal(rows: int, n: int) -> ca.Function:
     """[r + M_0, M_s]' W [r + M_0, M_s]: normal matrix, gradient and cost in one symmetric matrix."""
 
-    def body(r: ca.SX, M: ca.SX, w: ca.SX) -> ca.SX:
+    def body(r: Any, M: Any, w: Any) -> Any:
         full = ca.horzcat(r + M[:, 0], M[:, 1:])
         return ca.mtimes((full * ca.repmat(w, 1, n)).T, full)
 
-    return tiles.function(f"normal_{rows}_{n}", (rows, 1), (rows, n), (rows, 1))(body)
+    return tiles.function(f"normal_{rows}_{n}", (rows, 1), (rows, n), (rows, 1), kind=tiles.kind(n - 1))(body)

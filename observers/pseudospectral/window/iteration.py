@@ -16,6 +16,9 @@ WHOLE_STEPS = 15
 WHOLE_STEPS_AIMED = 8  # of Problem 3, whose steps then get shorter and shorter
 MOST_ITERATIONS = 40
 SHORTENED = 0.25  # of a step: what a rescue begins with
+WAITING_STEPS = (
+    8  # of a window that does not determine the state: what they find is only where the next sample's solve starts from
+)
 DAMPING = 0.5  # of later steps: where noise makes the residual's curvature turn whole steps into a cycle
 
 
@@ -50,7 +53,11 @@ def iterate(solve: Solve) -> ca.Function:
     def unfinished(value: Any) -> Any:
         part = state.unpack(value)
         # NaN fails every comparison, which ends the loop.
-        return (part.size >= tolerance**2) * (part.size < HUGE) * (part.iterations < limit)
+        going = (part.size >= tolerance**2) * (part.size < HUGE) * (part.iterations < limit)
+        if solve.waits:
+            least = fixed[list(solve.given).index("determined")][0]
+            going = going * ca.logic_or(part.iterations < WAITING_STEPS, part.conditioning > least)
+        return going
 
     def chain(value: Any, count: int, one: ca.Function) -> Any:
         for _ in range(count):

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from observers.numerics import tiles
 from observers.numerics.exact import product
 from observers.numerics.layout import Layout
 from observers.numerics.semilinear import Split
@@ -154,8 +155,13 @@ class LeastSquares:
 
     @property
     def segment_is_small(self) -> bool:
+<<<<<<< HEAD
         compared = self.ny * len(self.points) + (self.path.ny * len(self.path.points) if self.path is not None else 0)
         return self.n_rates <= SMALL and compared * self.n_rates <= SMALL_POINTS
+=======
+        few = tiles.kind(len(self.scale)) is ca.SX
+        return few and self.n_rates <= SMALL and self.ny * len(self.points) * self.n_rates <= SMALL_POINTS
+>>>>>>> a98aff1 (Windows of many unknowns: damped steps until the samples determine the state, so that wrong guesses converge; dense algebra in loops, less C)
 
     @property
     def kind(self) -> Any:

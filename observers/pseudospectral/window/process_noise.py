@@ -28,7 +28,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from observers.numerics import linear
+from observers.numerics import linear, tiles
 from observers.pseudospectral.window import condense, groups
 from observers.pseudospectral.window.gauss_newton import Constraints, Solve, conditioning_of, free_step, prior, square
 from observers.pseudospectral.window.problem import LeastSquares
@@ -77,7 +77,8 @@ def newton_step(solve: Solve) -> ca.Function:
     samples = to_go
     if solve.arrival:
         to_go = to_go + prior(ns)(s, g["prior_mean"], g["prior_information"])
-    step, conditioning, _, inverse = free_step(scale)(to_go, g["lam"])
+    determined = [g["determined"]] if solve.waits else []
+    step, conditioning, _, inverse = free_step(scale, solve.waits)(to_go, g["lam"], *determined)
     if solve.arrival:
         conditioning = conditioning_of(scale)(samples, g["lam"])
 
@@ -206,7 +207,8 @@ def _eliminate(ns: int, nw: int, unit: float) -> ca.Function:
     F = N * ca.mtimes(units, units.T) + ca.mtimes([T.T, C, T])
     corner = F[m:, m:] + unit * ca.DM.eye(nw)
     side = F[m:, :m] + unit * ca.horzcat(nu, ca.DM.zeros(nw, ns))
-    solved = linear.solver(nw, m + nw)(corner, ca.horzcat(-side, kind(ca.DM.eye(nw))))
+    right = ca.horzcat(-side, kind(ca.DM.eye(nw)))
+    solved = linear.solver(nw, m + nw)(corner, right) if nw <= SMALL else tiles.solve(corner, right)[0]
     K, inverse = solved[:, :m], solved[:, m:]
     rest = F[:m, :m] + ca.mtimes(side.T, K)
     rest[0, 0] += unit * ca.dot(nu, nu)

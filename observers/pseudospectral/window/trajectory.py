@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from observers.numerics import algebraic
+from observers.numerics import algebraic, tiles
 from observers.numerics.equations import Equations
 from observers.numerics.runge_kutta import CLASSICAL_4, runge_kutta
 from observers.pseudospectral.window.problem import LeastSquares
@@ -220,16 +220,17 @@ def node0(problem: LeastSquares) -> ca.Function:
     """
     s, rates, count = problem.segment, problem.rates, problem.count
     R0, RV = s.node0
+    kind = tiles.kind(len(problem.scale))
     arguments = [
-        *_segment_symbols(problem, ca.SX),
-        ca.SX.sym("theta", problem.n_theta),
-        ca.SX.sym("p", problem.n_parameters),
+        *_segment_symbols(problem, kind),
+        kind.sym("theta", problem.n_theta),
+        kind.sym("p", problem.n_parameters),
     ]
     xs, v, z, u_all, theta, p = arguments
-    t = ca.SX.sym("t")
+    t = kind.sym("t")
     u = ca.mtimes(ca.DM(np.kron(s.inputs_at(np.zeros(1)), np.eye(problem.nu))), _known(problem, u_all))
-    xq = xs[s.split.states] if s.split.states else ca.SX(0, 1)
-    at = [xq, rates.known(t, u, p), p, theta, _algebraic(problem, ca.SX, np.zeros(1), z)]
+    xq = xs[s.split.states] if s.split.states else kind(0, 1)
+    at = [xq, rates.known(t, u, p), p, theta, _algebraic(problem, kind, np.zeros(1), z)]
     phi, regular = rates.value(*at)[0], _regularity(problem, xs, v, z, u_all, theta, p, t)
     residual = ca.mtimes(ca.DM(R0), xs) + ca.mtimes(ca.DM(RV), v) - s.length / 2 * ca.mtimes(ca.DM(s.split.E), phi)
     largest = ca.mmax(ca.fabs(residual / ca.DM(problem.scale[: problem.nx])))
@@ -250,17 +251,16 @@ def node0(problem: LeastSquares) -> ca.Function:
     return ca.Function("node0", [V, Z, x0, theta, p, time, U, active], [worst, least])
 
 
-def _regularity(
-    problem: LeastSquares, xs: ca.SX, V: ca.SX, Z: ca.SX, U: ca.SX, theta: ca.SX, p: ca.SX, t: ca.SX
-) -> ca.SX:
+def _regularity(problem: LeastSquares, xs: Any, V: Any, Z: Any, U: Any, theta: Any, p: Any, t: Any) -> Any:
     """The smallest pivot of g_z at a segment's nodes 0..N; infinite without algebraic variables."""
     s, rates, nq, nz, nu = problem.segment, problem.rates, problem.rates.n_states, problem.rates.n_algebraic, problem.nu
+    kind: Any = type(xs)
     if nz == 0:
-        return ca.SX(np.inf)
+        return kind(np.inf)
     times = s.node_times
-    xq = _at(problem, ca.SX, times, s.split.states)(xs, V, U)
+    xq = _at(problem, kind, times, s.split.states)(xs, V, U)
     u = ca.mtimes(ca.DM(np.kron(s.inputs_at(times), np.eye(nu))), _known(problem, U))
-    z = ca.vertcat(_algebraic(problem, ca.SX, times[:1], Z), Z)
+    z = ca.vertcat(_algebraic(problem, kind, times[:1], Z), Z)
     found = []
     for i, time in enumerate(times):
         known = rates.known(t + float(time), u[i * nu : (i + 1) * nu], p)
