@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -77,6 +77,21 @@ def measured(
         out.append((r, M))
         first += size
     return out
+
+
+def path(problem: LeastSquares, j: int, at: Along, by: tuple[Any, list[Any]]) -> tuple[Any, Any]:
+    """The path constraints at the nodes and samples of segment j, and their derivatives, `by` as for `measured`; theta is that before
+    a jump at the end."""
+    kind = type(at.xs)
+    if problem.path is None:
+        return kind(0, 1), kind(0, by[0].shape[1])
+    known = SimpleNamespace(
+        offset=at.known.path_offset, forced_output=at.known.path_forced, known_output=at.known.path_known
+    )
+    limits = kind(ca.DM.zeros(known.offset.numel()))
+    rows = measured(problem.path, j, replace(at, known=known, jump=None), limits, by)
+    values, derivatives = (ca.vertcat(*column) for column in zip(*rows, strict=True))
+    return values, derivatives
 
 
 def affine(kind: Any, Ph: np.ndarray, xs: Any, Ps: np.ndarray, V: Any, offset: Any) -> Any:

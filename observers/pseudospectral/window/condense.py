@@ -12,8 +12,7 @@ and the sum over the segments of [r + M_0, M_s]' W [r + M_0, M_s] holds normal m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -21,7 +20,7 @@ import numpy as np
 
 from observers.numerics import tiles
 from observers.pseudospectral.window import groups
-from observers.pseudospectral.window.along import Along, affine, measured, sensitivity
+from observers.pseudospectral.window.along import Along, affine, measured, path, sensitivity
 from observers.pseudospectral.window.problem import LeastSquares
 
 
@@ -240,23 +239,9 @@ def segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
         G = sensitivity(kind, Ph, Ps, RG, sol, problem.direct(s.held(s.node_times[1:], list(problem.bounded))))
     whole = ca.vertcat(*sol) if sol else kind(0, n)
     r, M = (ca.vertcat(*column) for column in zip(*rows, strict=True))
-    P, Q = _path(problem, j, at, RG, sol)
+    P, Q = path(problem, j, at, (RG, sol))
     results = [xs_end, RG_end, normal, whole, Z_new, r, M, X, G, P, Q]
     return ca.Function(f"segment_{j}", arguments, [ca.densify(result) for result in results])
-
-
-def _path(problem: LeastSquares, j: int, at: Along, RG: Any, sol: list[Any]) -> tuple[Any, Any]:
-    """The path constraints at the nodes and samples of segment j, and their derivatives; theta is that before a jump at the end."""
-    kind = type(at.xs)
-    if problem.path is None:
-        return kind(0, 1), kind(0, RG.shape[1])
-    known = SimpleNamespace(
-        offset=at.known.path_offset, forced_output=at.known.path_forced, known_output=at.known.path_known
-    )
-    limits = kind(ca.DM.zeros(known.offset.numel()))
-    rows = measured(problem.path, j, replace(at, known=known, jump=None), limits, (RG, sol))
-    values, derivatives = (ca.vertcat(*column) for column in zip(*rows, strict=True))
-    return values, derivatives
 
 
 def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:
