@@ -33,6 +33,7 @@ bench: setup ## print timings, side by side with what one would use instead
 	$(BIN)/python build_fmus.py --only duffing_pseudospectral
 	$(BIN)/python -m benchmarks
 	$(BIN)/python -m benchmarks.windows
+	$(BIN)/python -m benchmarks.window_sizes
 	$(BIN)/python -m benchmarks.linear_gain
 	$(BIN)/python -m benchmarks.filters
 	$(BIN)/python -m benchmarks.elementary

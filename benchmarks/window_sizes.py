@@ -27,12 +27,9 @@ from observers.model import Model, Variable
 from observers.pseudospectral import pseudospectral
 from reference_models.plant import plant
 
-SAMPLE_TIME, ORDER, SAMPLES, RUNS = (
-    0.1,
-    5,
-    60,
-    3,
-)  # [s], of a segment's polynomial, of a run, of which the least time counts
+SAMPLE_TIME = 0.1  # [s]
+ORDER = 5  # of a segment's polynomial
+SAMPLES, RUNS = 60, 3  # of a run, and how many there are: the least time counts
 NOISE = 1e-2
 
 

@@ -17,7 +17,7 @@ WHOLE_STEPS_AIMED = 8  # of Problem 3, whose steps then get shorter and shorter
 MOST_ITERATIONS = 40
 SHORTENED = 0.25  # of a step: what a rescue begins with
 WAITING_STEPS = (
-    8  # of a window that does not determine the state: what they find is only where the next sample's solve starts from
+    8  # of a window that does not determine the state: they find only where the next sample's solve starts from
 )
 DAMPING = 0.5  # of later steps: where noise makes the residual's curvature turn whole steps into a cycle
 
