@@ -3,8 +3,9 @@
     nu' = (F + Gamma H) nu     (2.56),     H = -(h_x h_x')^-1 h_x,     F = f_x (I + h_x' H) - (d/dt h_x)' H
 
 The corollary asks that this linear time-varying system be exponentially stable along the trajectory, of which nothing is known when the
-observer is built. What can be computed then are its eigenvalues at points, x and u held: at an equilibrium they decide, elsewhere
-they do where x and u move slowly. Where h_x is constant they are those that the gain places.
+observer is built. What can be computed then are its eigenvalues at points. With x and u held, d/dt h_x = 0, they are those of an
+equilibrium there, where they decide (Theorem 3.1), or of a motion that is slow: they must be stable. Along a motion that moves h_x they
+neither prove nor disprove it, and are shown. Where h_x is constant both are those that the gain places.
 
 With unknown disturbances [E, h_x' M] and [0, Gamma] take the place of h_x' and Gamma, as in `dae`; the integrals of the disturbances, which
 nothing moves back, are left out.
@@ -38,23 +39,23 @@ class Spectrum:
     def html(self) -> str:
         """What it says, as a paragraph."""
         return (
-            f"<p>Corollary 2.1: at {self.points} points of the model's region, x and u held, the eigenvalues of the linearised error "
-            f"dynamics (2.56) have real parts from {self.fastest:.3g} to {self.slowest:.3g} 1/s, the last at {escape(self.where)}. "
-            "Where x and u move fast they do not decide on stability.</p>"
+            f"<p>Corollary 2.1: at {self.points} points of the model's region the eigenvalues of the linearised error dynamics (2.56) "
+            f"have real parts from {self.fastest:.3g} to {self.slowest:.3g} 1/s, the last at {escape(self.where)}. With x and u held all "
+            "are negative; where they move fast the eigenvalues do not decide on stability.</p>"
         )
 
 
 def error_dynamics(dae: Dae) -> ca.Function:
-    """(x, u, p, t, Gamma) -> F + Gamma H, on the space beside the disturbances."""
+    """(x, u, p, t, Gamma) -> F + Gamma H along the motion, and with x and u held, on the space beside the disturbances."""
     Gamma = ca.SX.sym("Gamma", dae.n, dae.n_lambda)
     beside = ca.horzcat(ca.SX(dae.n, dae.n_disturbances), Gamma)
     H = -ca.solve(ca.mtimes(dae.C, dae.G), dae.C)
     # d/dt G along x' = f, the inputs held.
     G = ca.vec(dae.G)
     moving = ca.reshape(ca.jtimes(G, dae.x, dae.f) + ca.jacobian(G, dae.t), *dae.G.shape)
-    F = ca.mtimes(ca.jacobian(dae.f, dae.x), ca.SX.eye(dae.n) + ca.mtimes(dae.G, H)) - ca.mtimes(moving, H)
-    M = ca.mtimes([ca.DM(dae.rest.T), F + ca.mtimes(beside, H), ca.DM(dae.rest.R)])
-    return ca.Function("error_dynamics", [*dae.arguments, Gamma], [ca.densify(M)])
+    held = ca.mtimes(ca.jacobian(dae.f, dae.x), ca.SX.eye(dae.n) + ca.mtimes(dae.G, H)) + ca.mtimes(beside, H)
+    rest = [ca.mtimes([ca.DM(dae.rest.T), F, ca.DM(dae.rest.R)]) for F in (held - ca.mtimes(moving, H), held)]
+    return ca.Function("error_dynamics", [*dae.arguments, Gamma], [ca.densify(M) for M in rest])
 
 
 def spectrum(dae: Dae, gain: Gain, region: Region) -> Spectrum | None:
@@ -63,19 +64,20 @@ def spectrum(dae: Dae, gain: Gain, region: Region) -> Spectrum | None:
     None where the gain is valid at none, or no state is left.
 
     Raises:
-        ModelError: an eigenvalue has no negative real part; the message names the one of the largest, and its point.
+        ModelError: with x and u held an eigenvalue has no negative real part; the message names the one of the largest, and its point.
     """
     at = error_dynamics(dae)
     tuning, relaxation = [port.start for port in gain.tuning], [0.0] * dae.n_lambda
-    found = []
+    moving, held = [], []
     for point in region.points:
         Gamma, valid = gain.gamma(*point, relaxation, tuning)
-        M = at(*point, Gamma).full()
-        if M.size and valid and np.all(np.isfinite(M)):
-            found.append((np.linalg.eigvals(M), point, ROUNDING * np.linalg.norm(M)))
-    if not found:
+        matrices = [M.full() for M in at(*point, Gamma)]
+        if valid and all(M.size and np.all(np.isfinite(M)) for M in matrices):
+            for found, M in zip((moving, held), matrices, strict=True):
+                found.append((np.linalg.eigvals(M), point, ROUNDING * np.linalg.norm(M)))
+    if not moving:
         return None
-    eigenvalues, point, rounding = max(found, key=lambda one: one[0].real.max())
+    eigenvalues, point, rounding = max(held, key=lambda one: one[0].real.max())
     slowest = max(eigenvalues, key=lambda one: (one.real, one.imag))
     if slowest.real > -rounding:
         raise ModelError(
@@ -83,5 +85,6 @@ def spectrum(dae: Dae, gain: Gain, region: Region) -> Spectrum | None:
             f"eigenvalue {shown(slowest)} at {region.describe(point)}: an error does not decay there; take another "
             "gain, or narrower bounds of the model"
         )
-    fastest = min(float(one.real.min()) for one, *_ in found)
-    return Spectrum(len(found), float(slowest.real), fastest, region.describe(point))
+    eigenvalues, point, _ = max(moving, key=lambda one: one[0].real.max())
+    fastest = min(float(one.real.min()) for one, *_ in moving)
+    return Spectrum(len(moving), float(eigenvalues.real.max()), fastest, region.describe(point))

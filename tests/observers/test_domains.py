@@ -39,9 +39,6 @@ KINDS: dict[str, Make] = {
 # What a sensor can come out with instead of a measurement.
 ABSURD = (math.nan, math.inf, -math.inf, 1e4, -1e4, 0.0, -1.0, 1e30, -1e30, 1e200, -1e300)
 BUILDS_NOT = {  # each with the reason that its message names
-    ("elementary", "two_tanks"): "unknown parameters",
-    ("elementary", "log_sensor"): "unknown parameters",
-    ("elementary", "reactor"): "unknown parameters",
     ("canonical_dae", "two_tanks"): "not observable",
     ("canonical_dae", "diode"): "not observable",
 }

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from build_fmus import FMUS
+from domain_models import MODELS
 from observers.canonical_dae import canonical_dae
 from observers.canonical_dae.dae import relaxed
 from observers.canonical_dae.gain import given
@@ -49,6 +50,12 @@ def test_where_the_outputs_gradient_moves_the_eigenvalues_are_those_of_2_56() ->
     assert found is not None and found.points == len(where.points) == 64
     assert [found.fastest, found.slowest] == pytest.approx([real.min(), real.max()], rel=1e-9)
     assert found.where == where.describe(where.points[int(np.argmax(real.max(axis=1)))])
+
+
+def test_an_eigenvalue_that_only_the_motion_of_the_gradient_makes_positive_is_shown_and_refuses_nothing() -> None:
+    """y = log c: h_x = 1 / c moves fast near c = 0, the poles with c held are those that are placed."""
+    fastest, slowest = said(canonical_dae(MODELS["log_sensor"], sample_time=0.1, poles=[-1.0, -1.0]).documentation)
+    assert fastest < -10 and slowest > 10
 
 
 def test_near_an_equilibrium_the_observers_error_decays_with_the_slowest_of_them() -> None:
