@@ -205,7 +205,10 @@ def verdict(
     misled = ca.logic_and(s.taught >= TAUGHT, s.spells < MOST_SPELLS)
     long = ca.logic_and(misled, ca.logic_and(s.quiet < EARNED, s.spell >= SPELL * 2**s.spells))
     lean = _leant(s.lean, normalised, ca.logic_and(doubtful, valid))
-    leaning = 0 if watch.weighted else ca.logic_and(ca.mmax(lean) > LEANT * 2**s.leans, s.leans < MOST_SPELLS)
+    # Where the noise is given, what keeps to one side is a model that is a little wrong, which a wide covariance would not mend.
+    leaning = (
+        0 if watch.weighted or watch.known else ca.logic_and(ca.mmax(lean) > LEANT * 2**s.leans, s.leans < MOST_SPELLS)
+    )
     fits = ca.logic_and(s.quiet == EARNED - 1, ca.logic_not(raised))
     ended = ca.logic_and(misled, ca.logic_and(fits, s.spell >= (EARNED + 5) * 2**s.spells))
     allowed = tuning.gate < NEVER

@@ -178,26 +178,30 @@ def test_samples_in_a_row_far_off_but_within_the_gate_start_it_again_at_the_elev
 def test_innovations_on_one_side_start_the_covariance_again_twice_and_the_estimate_never(
     sizes: tuple[float, float],
 ) -> None:
-    """One deviation each, of either output: more than 15 beyond the half that is usual, then 30 after it has settled again."""
-    watched = Watched(samples=100)
-    assert until(watched, sizes) == (31, "inflate")
-    assert until(watched, sizes) == (SETTLED + 61, "inflate")
+    """Three deviations of what was learned, a third, of either output, of which two count: one and a half a sample, beyond 15, and once
+    it has settled beyond 30."""
+    watched = Watched(known=False, samples=100)
+    assert until(watched, sizes) == (11, "inflate")
+    assert until(watched, sizes) == (51, "inflate")
     assert until(watched, sizes, 1000) == (1000, "")
 
 
 def test_of_innovations_on_one_side_nothing_counts_that_is_usual_or_missing() -> None:
-    watched = Watched(samples=100)
-    assert until(watched, (0.5, 0.0)) == (200, "")
-    watched = Watched(samples=100)
-    for _ in range(30):
+    watched = Watched(known=False, samples=100)
+    assert until(watched, (0.5 / 3, 0.0), 60) == (60, "")
+    watched = Watched(known=False, samples=100)
+    for _ in range(10):
         watched((1.0, 0.0))
         watched((9.0, 0.0), (0, 1))
     assert watched((1.0, 0.0)).done == "inflate"
 
 
-def test_innovations_on_one_side_start_nothing_again_of_a_papers_design() -> None:
-    """Its first ones keep to one side until it has converged."""
-    watched = Watched(weighted=True, samples=100)
+@pytest.mark.parametrize("given", [{"known": True}, {"weighted": True}])
+def test_where_the_noise_is_given_or_the_design_a_papers_innovations_on_one_side_start_nothing_again(
+    given: dict[str, bool],
+) -> None:
+    """A model that is a little wrong keeps to one side for good, a paper's design until it has converged."""
+    watched = Watched(**given, samples=100)
     assert until(watched, (1.0, 0.0)) == (200, "")
 
 
