@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -68,13 +69,14 @@ def spectrum(dae: Dae, gain: Gain, region: Region) -> Spectrum | None:
     """
     at = error_dynamics(dae)
     tuning, relaxation = [port.start for port in gain.tuning], [0.0] * dae.n_lambda
-    moving, held = [], []
+    moving: list[tuple[np.ndarray, Any, float]] = []
+    held: list[tuple[np.ndarray, Any, float]] = []
     for point in region.points:
         Gamma, valid = gain.gamma(*point, relaxation, tuning)
         matrices = [M.full() for M in at(*point, Gamma)]
         if valid and all(M.size and np.all(np.isfinite(M)) for M in matrices):
             for found, M in zip((moving, held), matrices, strict=True):
-                found.append((np.linalg.eigvals(M), point, ROUNDING * np.linalg.norm(M)))
+                found.append((np.linalg.eigvals(M), point, ROUNDING * float(np.linalg.norm(M))))
     if not moving:
         return None
     eigenvalues, point, rounding = max(held, key=lambda one: one[0].real.max())
