@@ -108,6 +108,7 @@ def with_constants(model: Model) -> Model:
         unknown_parameters=(),
         ode=of(model.ode, [0] * len(constants)),
         output=of(model.output, []),
+        constraint=of(model.constraint, []) if model.constraint is not None else None,
     )
 
 

@@ -14,7 +14,6 @@ Problem 3 comes within step 3 (`bounded_noise`). What the paper leaves out is wh
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -23,7 +22,7 @@ from observers.pseudospectral import arrival, covariance, innovation_test, memor
 from observers.pseudospectral.estimate import Estimate, estimate
 from observers.pseudospectral.method import Method
 from observers.pseudospectral.problem_2 import Solution, reference, solve
-from observers.pseudospectral.sample import Instant, Window, collect
+from observers.pseudospectral.sample import Instant, Window, collect, inputs_of
 from observers.pseudospectral.status import Quality, quality
 from observers.pseudospectral.warm_start import AT_GUESS, Start, next_origin, warm_start
 from observers.status import CODE
@@ -46,16 +45,15 @@ def jump(method: Method) -> ca.Function:
 
 
 def _instant(method: Method, z: Any, u: Any, p: Any, t: Any) -> Instant:
-    ny, n_known = method.problem.ny, len(method.model.inputs)
-    q = method.settings.unpack(p)
-    now = Instant(s=memory.layout(method).unpack(z), q=q, u=u, offered=u[ny + n_known :] > 0.5, known=None, t=t)
-    return replace(now, known=method.lift(_inputs(method, now), q.model))
-
-
-def _inputs(method: Method, now: Instant) -> Any:
-    """The model's known inputs, as they are given."""
-    ny, n_known = method.problem.ny, len(method.model.inputs)
-    return now.u[ny : ny + n_known] if n_known else ca.MX(0, 1)
+    ny, q = method.problem.ny, method.settings.unpack(p)
+    return Instant(
+        s=memory.layout(method).unpack(z),
+        q=q,
+        u=u,
+        offered=u[u.numel() - ny :] > 0.5,
+        known=method.lift(inputs_of(u, ny), q.model),
+        t=t,
+    )
 
 
 def _next(
@@ -116,7 +114,7 @@ def _next(
         "quiet": ca.fmax(tested.state["quiet"], worth.heavy * innovation_test.patience(method)),
         "fit_noise": ca.DM(0, 1) if method.weighted else ca.if_else(solution.accepted, solution.fit_noise, s.fit_noise),
         "slack": solution.slack if method.constraints.any else ca.DM(0, 1),
-        "path": method.path(found.x, _inputs(method, now), now.q.model, found.theta, now.t, found.z),
+        "path": method.path(found.x, now.inputs, now.q.model, found.theta, now.t, found.z),
         **prior,
         **solution.bounds,
     }

@@ -37,6 +37,11 @@ class Instant:
     def measured(self) -> Any:
         return self.u[: self.offered.numel()]
 
+    @property
+    def inputs(self) -> Any:
+        """The model's known inputs, as they are given."""
+        return inputs_of(self.u, self.offered.numel())
+
 
 @dataclass(frozen=True)
 class Window:
@@ -70,6 +75,12 @@ class Window:
     def driven(self, problem: LeastSquares, noise: Any) -> Any:
         """What drives a trajectory with this process noise."""
         return problem.driven(self.U, self.noise_std * noise) if problem.n_noise else self.U
+
+
+def inputs_of(u: Any, ny: int) -> Any:
+    """The known inputs among u = [measurements (ny), known inputs, whether each measurement is valid (ny)]."""
+    n = u.numel() - 2 * ny
+    return u[ny : ny + n] if n else ca.MX(0, 1)
 
 
 def collect(method: Method, now: Instant) -> Window:

@@ -16,9 +16,7 @@ WHOLE_STEPS = 15
 WHOLE_STEPS_AIMED = 8  # of Problem 3, whose steps then get shorter and shorter
 MOST_ITERATIONS = 40
 SHORTENED = 0.25  # of a step: what a rescue begins with
-WAITING_STEPS = (
-    8  # of a window that does not determine the state: they find only where the next sample's solve starts from
-)
+WAITING_STEPS = 8  # of a window that does not determine the state: where the next sample's solve starts from
 DAMPING = 0.5  # of later steps: where noise makes the residual's curvature turn whole steps into a cycle
 
 

@@ -290,6 +290,17 @@ def test_an_observer_that_leaves_constraints_aside_says_so_by_their_names_and_es
         text = "<p>The model's constraints (energy) are not imposed by this method"
         assert text in with_limit.documentation and text not in without.documentation
         assert [port.name for port in with_limit.outputs] == [port.name for port in without.outputs]
+    known = Model(
+        name="decay",
+        states=[Variable("x")],
+        unknown_parameters=[Variable("rate", start=0.4)],
+        outputs=[Variable("y")],
+        constraints=[Variable("slow")],
+        ode=lambda x, u, p, t: [1 - p.rate * x.x],
+        output=lambda x, u, p, t: [x.x],
+        constraint=lambda x, u, p, t: [p.rate - 1],
+    )
+    assert "constraints (slow) are not imposed" in elementary(known, sample_time=TS, N=11).documentation
     made = pseudospectral(oscillator(**ENERGY), sample_time=TS, N=6, L=4).documentation
     assert "<p>At the nodes and at the samples the fit obeys the constraints energy.</p>" in made
 
