@@ -41,14 +41,21 @@ def split(f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
     A, B = _constant_entries(f, x), _constant_entries(f, u)
     rest = []
     for i, expression in enumerate(ca.vertsplit(f)):
-        for symbols, constant in ((x, A), (u, B)):
-            gone = [int(j) for j in np.flatnonzero(constant[i])]
-            if gone:
-                expression = ca.substitute(expression, symbols[gone], ca.DM.zeros(len(gone)))
-        rest.append(ca.simplify(expression))
+        rest.append(ca.simplify(_without(_without(expression, x, A[i]), u, B[i])))
     rows = [i for i, expression in enumerate(rest) if not (expression.is_constant() and expression.is_zero())]
     phi = ca.vertcat(*[rest[i] for i in rows]) if rows else ca.SX(0, 1)
     return Split(A, B, np.eye(len(rest))[:, rows], phi, rows, _used(phi, x), _used(phi, u))
+
+
+def thinned(part: Split, f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
+    """`part`, the split of `f`, with phi's rows whole in phi but for the inputs' part: what is left of A says which state is another's rate.
+
+    The linear part's response then couples few states, phi_x sees more of them.
+    """
+    A = part.A.copy()
+    A[part.rows] = 0
+    phi = ca.vertcat(*[ca.simplify(_without(f[i], u, part.B[i])) for i in part.rows]) if part.rows else part.phi
+    return replace(part, A=A, phi=phi, states=_used(phi, x), inputs=_used(phi, u))
 
 
 def lift_inputs(eq: Equations) -> tuple[Equations, ca.Function]:
@@ -80,6 +87,12 @@ def unreachable(f: ca.SX, h: ca.SX, symbols: ca.SX, x: ca.SX) -> list[int]:
     for _ in range(x.numel()):
         sees = sees | (feeds & sees[: x.numel(), None]).any(axis=0)
     return [int(j) for j in np.flatnonzero(~sees)]
+
+
+def _without(expression: ca.SX, symbols: ca.SX, constant: np.ndarray) -> ca.SX:
+    """An entry of f without the terms of its `constant` derivatives by `symbols`."""
+    gone = [int(j) for j in np.flatnonzero(constant)]
+    return ca.substitute(expression, symbols[gone], ca.DM.zeros(len(gone))) if gone else expression
 
 
 def _constant_entries(f: ca.SX, symbols: ca.SX) -> np.ndarray:

@@ -5,7 +5,7 @@ However many tiles there are, the generated C holds each kernel once. Large prod
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
@@ -42,21 +42,27 @@ def solve(A: Any, b: Any) -> tuple[Any, Any]:
 
 
 def solve_tiles(A: list[list[Any]], b: list[Any]) -> list[Any]:
-    """LU without pivoting on a square grid of tiles (one tile: plain LU)."""
+    """LU without pivoting on a square grid of tiles (one tile: plain LU); None is a tile of zeros, and what it leaves zero is not computed."""
     n, m = len(A), b[0].shape[1]
     rows = [tile.shape[0] for tile in b]
+
+    def kept(k: int, lines: Iterable[Any]) -> list[int]:
+        return [j for j, tile in enumerate(lines) if j > k and tile is not None]
+
     for k in range(n):
         A[k][k] = _factor(rows[k])(A[k][k])
-        for j in range(k + 1, n):
+        right = kept(k, A[k])
+        for j in right:
             A[k][j] = _forward(rows[k], rows[j])(A[k][k], A[k][j])
         b[k] = _forward(rows[k], m)(A[k][k], b[k])
-        for i in range(k + 1, n):
+        for i in kept(k, [row[k] for row in A]):
             A[i][k] = _right(rows[i], rows[k])(A[k][k], A[i][k])
-            for j in range(k + 1, n):
-                A[i][j] = multiply_add(rows[i], rows[k], rows[j], -1.0)(A[i][j], A[i][k], A[k][j])
+            for j in right:
+                before = A[i][j] if A[i][j] is not None else ca.DM.zeros(rows[i], rows[j])
+                A[i][j] = multiply_add(rows[i], rows[k], rows[j], -1.0)(before, A[i][k], A[k][j])
             b[i] = multiply_add(rows[i], rows[k], m, -1.0)(b[i], A[i][k], b[k])
     for k in reversed(range(n)):
-        for j in range(k + 1, n):
+        for j in kept(k, A[k]):
             b[k] = multiply_add(rows[k], rows[j], m, -1.0)(b[k], A[k][j], b[j])
         b[k] = _backward(rows[k], m)(A[k][k], b[k])
     return b

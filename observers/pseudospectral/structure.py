@@ -12,11 +12,13 @@ import numpy as np
 from observers.linearisation import refuse_unobservable
 from observers.model import Model, ModelError
 from observers.numerics.equations import Equations
-from observers.numerics.semilinear import Split, split
+from observers.numerics import tiles
+from observers.numerics.semilinear import Split, split, thinned
 from observers.pseudospectral.window.collocation import segment
 from observers.pseudospectral.window.gauss_newton import Constraints
 from observers.pseudospectral.window.pointwise import pointwise
 from observers.pseudospectral.window.problem import LeastSquares
+from observers.pseudospectral.window.rates import are_sparse
 
 MOST_NODES = 200  # of a segment: at 80 the component takes 25 s to make, and the time grows with the square
 
@@ -100,6 +102,10 @@ def problem(
 ) -> LeastSquares:
     """Problem 2's data: where the outputs are compared, and in which units steps are measured."""
     parts, output = (_with_algebraic(split(f, eq.x, eq.u), eq) for f in (eq.ode, eq.output))
+    smooth = not model.inputs or L == segments  # over a segment: an input that is held makes kinks
+    if smooth and not model.algebraic and tiles.kind(eq.x.numel() + eq.theta.numel()) is ca.MX:
+        thin = thinned(parts, eq.ode, eq.x, eq.u)
+        parts = thin if are_sparse(thin, eq.x, N) else parts
     s = segment(parts, N, L // segments, sample_time, model.input_between_samples, noisy[0])
     nominal = np.array([v.nominal for v in (*model.states, *model.unknown_parameters)])
     z_scale = tuple(v.nominal for v in model.algebraic)

@@ -14,6 +14,8 @@ from observers.numerics.exact import product
 from observers.pseudospectral.window import groups
 from observers.pseudospectral.window.problem import LeastSquares
 
+ZEROS = 0.25  # part of a constant matrix up to which only what is not zero is multiplied
+
 
 @dataclass(frozen=True)
 class Along:
@@ -95,14 +97,41 @@ def path(problem: LeastSquares, j: int, at: Along, by: tuple[Any, list[Any]]) ->
 
 
 def affine(kind: Any, Ph: np.ndarray, xs: Any, Ps: np.ndarray, V: Any, offset: Any) -> Any:
-    return ca.mtimes(kind(ca.DM(Ph)), xs) + ca.mtimes(kind(ca.DM(Ps)), V) + offset
+    return ca.mtimes(constant(kind, Ph), xs) + ca.mtimes(constant(kind, Ps), V) + offset
+
+
+def constant(kind: Any, matrix: np.ndarray) -> Any:
+    """`matrix` for products with what is not constant: its zeros left out where that saves work."""
+    return kind(ca.sparsify(ca.DM(matrix)) if _mostly_zero(matrix) else ca.DM(matrix))
+
+
+def _mostly_zero(matrix: np.ndarray) -> bool:
+    return np.count_nonzero(matrix) < ZEROS * matrix.size
+
+
+def _by_rows(matrix: np.ndarray, X: Any) -> Any:
+    """matrix X: rows that share most of what is not zero are one dense product."""
+    groups_of: dict[tuple[int, ...], list[int]] = {}
+    for i, row in enumerate(matrix):
+        groups_of.setdefault(tuple(int(j) for j in np.flatnonzero(row)), []).append(i)
+    parts, order = [], []
+    for columns, rows in groups_of.items():
+        zero = ca.DM.zeros(len(rows), X.shape[1])
+        few = ca.DM(matrix[np.ix_(rows, columns)])
+        parts.append(tiles.multiply_add(len(rows), len(columns), X.shape[1], 1.0)(zero, few, X[list(columns), :]))
+        order += rows
+    return ca.vertcat(*parts)[list(np.argsort(order)), :]
 
 
 def sensitivity(
     kind: Any, Ph: np.ndarray, Ps: np.ndarray, RG: Any, sol: list[Any], direct: np.ndarray | None = None
 ) -> Any:
     """Ph RG + Ps sol + what the noise does directly: d x(points) / d [1; x0; theta; noise]."""
-    total: Any = ca.mtimes(kind(ca.DM(Ph)), RG)
+    total: Any
+    if len(sol) == 1 and kind is ca.MX and _mostly_zero(Ps):
+        total = _by_rows(np.hstack([Ph, Ps]), ca.vertcat(RG, sol[0]))
+        return total if direct is None else total + ca.DM(direct)
+    total = ca.mtimes(constant(kind, Ph), RG)
     column = 0
     for block in sol:
         n = block.shape[0]

@@ -2,7 +2,7 @@
 
 For the rates V and first state xs of a segment, with RG = d xs / d [1; s], and X_Q = PhQ xs + PsQ V + CQ the states that phi depends on:
 
-    (I - blk(phi_x) PsQ) sol = [phi - V, 0, phi_theta] + blk(phi_x) PhQ RG      dV = sol [1; ds]
+    (I - blk(phi_x) PsQ) sol = [phi - V, 0, phi_theta] + blk(phi_x) PhQ RG      dV = sol [1; ds]      (`rates`)
     RG+ = PhE RG + PsE sol                                                       of the next segment
     M = d h / d [1; s] at the measured points                                    r = h - y
 
@@ -22,6 +22,7 @@ from observers.numerics import tiles
 from observers.pseudospectral.window import groups
 from observers.pseudospectral.window.along import Along, affine, measured, path, sensitivity
 from observers.pseudospectral.window.problem import LeastSquares
+from observers.pseudospectral.window.rates import solved_rates
 
 
 @dataclass(frozen=True)
@@ -168,7 +169,7 @@ def first_sample(problem: LeastSquares) -> ca.Function:
     v, z = segments(problem, V, Z)[0]
     xs, theta, RG = s[: problem.nx], s[problem.nx :], _at_start(problem, kind)
     known = problem.data(0).unpack(_with_noise(problem, 0, data[problem.data_of(0)], noise))
-    sol, _ = _condense(problem, kind, Along(xs, v, z, theta, known, p), RG)
+    sol, _ = solved_rates(problem, kind, Along(xs, v, z, theta, known, p), RG)
     times = np.array([problem.segment.sample_time])
     Ph, Ps = problem.segment.at(times)
     Xi = problem.segment.forced(times)
@@ -219,7 +220,7 @@ def segment(problem: LeastSquares, j: int, kind: Any) -> ca.Function:
     known = problem.data(j).unpack(data)
     s, n = problem.segment, RG.shape[1]
     at = Along(xs, V, Z, theta, known, p, *jump)
-    sol, Z_new = _condense(problem, kind, at, RG)
+    sol, Z_new = solved_rates(problem, kind, at, RG)
     normal, start = kind(ca.DM.zeros(n, n)), 0
     rows = measured(problem, j, at, y, (RG, sol))
     for r, M in rows:
@@ -261,44 +262,3 @@ def _segment_symbols(problem: LeastSquares, j: int, kind: Any) -> list[Any]:
     if problem.sees_jumps:
         shapes["jump"] = (problem.n_theta, 1)
     return [kind.sym(name, *shape) for name, shape in shapes.items()]
-
-
-def _condense(problem: LeastSquares, kind: Any, at: Along, RG: Any) -> tuple[list[Any], Any]:
-    """sol, d V / d [1; s], in groups of rows; and the algebraic variables at the nodes."""
-    rates, s = problem.rates, problem.segment
-    if rates.n == 0:
-        return [], at.Z
-    PhQ, PsQ = s.at(s.node_times[1:], s.split.states)
-    sizes = [s.order] if kind is ca.SX else tiles.sizes(s.order, max(1, tiles.TILE // rates.n))
-    nq, nv, ne, nz = rates.n_states, rates.n, rates.n_known, rates.n_algebraic
-    collocated = {size: groups.collocated(rates, size, RG.shape[1], problem.n_noise) for size in set(sizes)}
-    direct = problem.direct(s.held(s.node_times[1:], s.split.states))
-    A: list[list[Any]] = []
-    b: list[Any] = []
-    z_new: list[Any] = []
-    first = 0
-
-    def rows(vector: Any, size: int, each: int) -> Any:
-        return vector[first * each : (first + size) * each]
-
-    for size in sizes:
-        q = slice(first * nq, (first + size) * nq)
-        xq = affine(kind, PhQ[q], at.xs, PsQ[q], at.V, rows(at.known.forced, size, nq))
-        moved = ca.mtimes(kind(ca.DM(PhQ[q])), RG)
-        if direct is not None:
-            moved = moved + ca.DM(direct[q])
-        known = rows(at.known.known, size, ne)
-        arguments = [xq, known, at.p, at.theta, rows(at.Z, size, nz), rows(at.V, size, nv), moved]
-        slope, right, z = collocated[size](*arguments)
-        row, column, pattern = [], 0, tuple(slope.sparsity().compress())
-        for other in sizes:
-            c = slice(column * nv, (column + other) * nv)
-            row.append(groups.tile(nv, nq, size, other, first == column, pattern)(slope, kind(ca.DM(PsQ[q, c]))))
-            column += other
-        A.append(row)
-        b.append(right)
-        z_new.append(z)
-        first += size
-    if nv > tiles.TILE and kind is ca.MX:
-        return [tiles.solve(ca.blockcat(A), ca.vertcat(*b))[0]], ca.vertcat(*z_new)
-    return tiles.solve_tiles(A, b), ca.vertcat(*z_new)

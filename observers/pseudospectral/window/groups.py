@@ -46,6 +46,32 @@ def collocated(rates: Pointwise, size: int, n: int, n_noise: int = 0) -> ca.Func
     return tiles.function(f"collocated_{size}", *shapes)(body)
 
 
+@cache
+def collocated_at(rates: Pointwise) -> ca.Function:
+    """phi_x (nv x nq, sparse), phi - V, phi_theta (nv x nt) and z at one node."""
+    body = rates.value
+
+    def symbols(i: int) -> ca.SX:
+        return ca.SX.sym(f"a{i}", body.size1_in(i))
+
+    at = [symbols(i) for i in range(body.n_in())]
+    V = ca.SX.sym("V", rates.n)
+    value, slope, by_theta = body(*at)
+    results = [ca.sparsify(slope), value - V, by_theta, rates.solved(*at)[0]]
+    return ca.Function("collocated_at", [*at, V], results)
+
+
+@cache
+def scaled_add(rows: int, columns: int, sign: float) -> ca.Function:
+    """c + sign diag(a) b."""
+    shapes = ((rows, columns), (rows, 1), (rows, columns))
+
+    def body(c: ca.SX, a: ca.SX, b: ca.SX) -> ca.SX:
+        return c + sign * ca.repmat(a, 1, columns) * b
+
+    return tiles.function(f"scaled_{rows}_{columns}{'' if sign > 0 else '_sub'}", *shapes)(body)
+
+
 def observed(rest: Pointwise, size: int) -> ca.Function:
     """h_n, its derivatives by the states (stacked size n x nh) and by theta, at `size` points."""
     nh, ne, nz = rest.n_states, rest.n_known, rest.n_algebraic

@@ -65,6 +65,19 @@ def test_tiles_solve_what_numpy_solves_whatever_is_left_of_the_last_tile(total: 
     np.testing.assert_allclose(found, np.linalg.solve(A, b), rtol=0, atol=1e-14)
 
 
+def test_tiles_of_zeros_need_not_be_there() -> None:
+    """An arrow, whose elimination fills what was empty, and a tile that stands alone."""
+    rng, n, each = np.random.default_rng(5), 5, 2
+    there = np.eye(n, dtype=bool)
+    there[0, :4] = there[:4, 0] = True
+    A = np.eye(n * each) + 0.2 * rng.normal(size=(n * each, n * each)) * np.kron(there, np.ones((each, each)))
+    b = rng.normal(size=(n * each, 3))
+    of_tile = [slice(k * each, (k + 1) * each) for k in range(n)]
+    grid = [[ca.DM(A[i, k]) if there[r, c] else None for c, k in enumerate(of_tile)] for r, i in enumerate(of_tile)]
+    found = ca.vertcat(*tiles.solve_tiles(grid, [ca.DM(b[i]) for i in of_tile])).full()
+    np.testing.assert_allclose(found, np.linalg.solve(A, b), rtol=0, atol=1e-14)
+
+
 def test_groups_are_full_but_for_the_last() -> None:
     assert tiles.sizes(10, 10) == [10] and tiles.sizes(23, 10) == [10, 10, 3] and tiles.sizes(3, 10) == [3]
     assert tiles.sizes(0, 10) == []
