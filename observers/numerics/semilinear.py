@@ -48,9 +48,9 @@ def split(f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
 
 
 def thinned(part: Split, f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
-    """`part`, the split of `f`, with phi's rows whole in phi but for the inputs' part: what is left of A says which state is another's rate.
+    """`part`, the split of `f`, with all of phi's rows in phi but what the inputs add: what is left of A says which state is another's rate.
 
-    The linear part's response then couples few states, phi_x sees more of them.
+    The linear part's response then couples few states; phi_x sees more of them.
     """
     A = part.A.copy()
     A[part.rows] = 0

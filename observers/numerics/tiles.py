@@ -42,7 +42,7 @@ def solve(A: Any, b: Any) -> tuple[Any, Any]:
 
 
 def solve_tiles(A: list[list[Any]], b: list[Any]) -> list[Any]:
-    """LU without pivoting on a square grid of tiles (one tile: plain LU); None is a tile of zeros, and what it leaves zero is not computed."""
+    """LU without pivoting on a square grid of tiles (one tile: plain LU). None is a tile of zeros; what stays zero is not computed."""
     n, m = len(A), b[0].shape[1]
     rows = [tile.shape[0] for tile in b]
 

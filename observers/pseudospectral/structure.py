@@ -11,8 +11,8 @@ import numpy as np
 
 from observers.linearisation import refuse_unobservable
 from observers.model import Model, ModelError
-from observers.numerics.equations import Equations
 from observers.numerics import tiles
+from observers.numerics.equations import Equations
 from observers.numerics.semilinear import Split, split, thinned
 from observers.pseudospectral.window.collocation import segment
 from observers.pseudospectral.window.gauss_newton import Constraints
@@ -102,7 +102,7 @@ def problem(
 ) -> LeastSquares:
     """Problem 2's data: where the outputs are compared, and in which units steps are measured."""
     parts, output = (_with_algebraic(split(f, eq.x, eq.u), eq) for f in (eq.ode, eq.output))
-    smooth = not model.inputs or L == segments  # over a segment: an input that is held makes kinks
+    smooth = not model.inputs or segments == L  # over a segment: an input that is held makes kinks
     if smooth and not model.algebraic and tiles.kind(eq.x.numel() + eq.theta.numel()) is ca.MX:
         thin = thinned(parts, eq.ode, eq.x, eq.u)
         parts = thin if are_sparse(thin, eq.x, N) else parts

@@ -2,8 +2,8 @@
 
     (I - blk(phi_x) PsQ) sol = [phi - V, 0, phi_theta] + blk(phi_x) PhQ RG.
 
-By nodes, the matrix is full. By rates it is as sparse as the model: a state's polynomial follows from its own rate, and phi_x says which rates
-see it; with many states most of its tiles, a rate's values at all nodes by another's, are zero.
+By nodes, the matrix is full. By rates it is as sparse as the model: a state's polynomial follows from its own rate, and phi_x says which
+rates see it; with many states most of its tiles, a rate's values at all nodes by another's, are zero.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def _sees(problem: LeastSquares) -> np.ndarray:
 
 def _pays(sees: np.ndarray, follows: np.ndarray) -> bool:
     full = sees.astype(int) @ follows + np.eye(len(sees), dtype=int) > 0
-    place = _order(full)
-    filled = full[np.ix_(place, place)]
+    order = _order(full)
+    filled = full[np.ix_(order, order)]
     for k in range(len(filled)):
         filled[k + 1 :, k + 1 :] |= np.outer(filled[k + 1 :, k], filled[k, k + 1 :])
     return bool(filled.mean() <= SPARSE)
@@ -102,9 +102,9 @@ def _by_rates(problem: LeastSquares, at: Along, RG: Any) -> tuple[list[Any], Any
         for k in np.flatnonzero(follows[q]):
             before = A[i][k] if A[i][k] is not None else ca.MX(ca.DM.zeros(N, N))
             A[i][k] = groups.scaled_add(N, N, -1.0)(ca.densify(before), slope, ca.DM(PsQ[q::nq, k::nv]))
-    place = _order(np.array([[tile is not None for tile in row] for row in A]))
-    solved = tiles.solve_tiles([[A[i][k] for k in place] for i in place], [b[i] for i in place])
-    by_rate = ca.vertcat(*[solved[place.index(i)] for i in range(nv)])
+    order = _order(np.array([[tile is not None for tile in row] for row in A]))
+    solved = tiles.solve_tiles([[A[i][k] for k in order] for i in order], [b[i] for i in order])
+    by_rate = ca.vertcat(*[solved[order.index(i)] for i in range(nv)])
     by_node = [i * N + j for j in range(N) for i in range(nv)]
     return [by_rate[by_node, :]], ca.vertcat(*[f[3] for f in found])
 
