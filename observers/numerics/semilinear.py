@@ -48,7 +48,7 @@ def split(f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
 
 
 def thinned(part: Split, f: ca.SX, x: ca.SX, u: ca.SX) -> Split:
-    """`part`, the split of `f`, with all of phi's rows in phi but what the inputs add: what is left of A says which state is another's rate.
+    """`part`, the split of `f`, with phi's rows whole but for what inputs add: what is left of A says which state is another's rate.
 
     The linear part's response then couples few states; phi_x sees more of them.
     """

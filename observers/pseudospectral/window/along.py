@@ -106,7 +106,7 @@ def constant(kind: Any, matrix: np.ndarray) -> Any:
 
 
 def _mostly_zero(matrix: np.ndarray) -> bool:
-    return np.count_nonzero(matrix) < ZEROS * matrix.size
+    return bool(np.count_nonzero(matrix) < ZEROS * matrix.size)
 
 
 def _by_rows(matrix: np.ndarray, X: Any) -> Any:
