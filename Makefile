@@ -57,8 +57,8 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
-# Wine runs the Windows binaries, qemu the ARM ones; gcc and tcc compile the sources, for 32-bit ARM too; clang fuzzes; valgrind counts; Chromium draws the reports; Ecos needs libtbb12.
-CI_PACKAGES := wine64 wine libtbb12 qemu-user libc6-arm64-cross gcc libc6-dev gcc-arm-linux-gnueabihf libc6-dev-armhf-cross tcc valgrind chromium clang libclang-rt-14-dev
+# Wine runs the Windows binaries, qemu the ARM ones; gcc and tcc compile the sources, for 32-bit ARM and MIPS too; clang fuzzes; valgrind counts; Chromium draws the reports; Ecos needs libtbb12.
+CI_PACKAGES := wine64 wine libtbb12 qemu-user libc6-arm64-cross gcc libc6-dev gcc-arm-linux-gnueabihf libc6-dev-armhf-cross gcc-mips-linux-gnu libc6-dev-mips-cross tcc valgrind chromium clang libclang-rt-14-dev
 
 ci-tools: ## Debian packages of other people's tools
 	dpkg-query --show --showformat='$${db:Status-Status}\n' $(CI_PACKAGES) 2>&1 | grep -Fvqx installed || exit 0; \

@@ -38,6 +38,7 @@ KINDS: dict[str, Make] = {
 }
 # What a sensor can come out with instead of a measurement.
 ABSURD = (math.nan, math.inf, -math.inf, 1e4, -1e4, 0.0, -1.0, 1e30, -1e30, 1e200, -1e300)
+SHORT = 16  # samples of a run: twice a window
 BUILDS_NOT = {  # each with the reason that its message names
     ("canonical_dae", "two_tanks"): "not observable",
     ("canonical_dae", "diode"): "not observable",
@@ -101,7 +102,7 @@ def test_no_measurement_ends_the_run(kind: str, name: str) -> None:
 def test_no_guess_ends_the_run(kind: str, name: str) -> None:
     """A first guess outside the equations' domain, far away, or at the edge."""
     component, sample_time = made(kind, name)
-    rows = measurements(name, sample_time, 30)
+    rows = measurements(name, sample_time, SHORT)
     guesses = [port for port in component.parameters if port.name.startswith("guess.")]
     for port in guesses:
         low, high = bounds(port)
@@ -114,7 +115,7 @@ def test_no_guess_ends_the_run(kind: str, name: str) -> None:
 def test_no_parameter_in_its_range_ends_the_run(kind: str) -> None:
     name = "tank" if kind in ("elementary", "canonical_dae") else "two_tanks"
     component, sample_time = made(kind, name)
-    rows = measurements(name, sample_time, 30)
+    rows = measurements(name, sample_time, SHORT)
     for port in component.parameters:
         if port.name.startswith("guess.") or port.name == "sample_time":
             continue

@@ -150,7 +150,7 @@ def test_damaged_libraries(sound: Contents, folder: Path, data: st.DataObject) -
 
 @pytest.mark.parametrize("suffix", [".so", ".dll", ".dylib"])
 @given(content=st.binary(max_size=400))
-@settings(QUICK, max_examples=examples(10, 60))
+@settings(QUICK, max_examples=examples(10, 20))
 def test_bytes_that_begin_like_a_library(folder: Path, suffix: str, content: bytes) -> None:
     from fmu_src.compliance.files.libraries import read_library
 
