@@ -13,8 +13,8 @@ from tools import need
 
 pytestmark = pytest.mark.long
 
-SECONDS = 4  # for each kind; `make fuzz` takes longer
-CALLS = 1_000_000  # of all kinds together
+SECONDS = 5  # for each kind; `make fuzz` takes longer
+CALLS = 300_000  # of all kinds together: a third of what a machine of its own makes
 
 
 def test_no_run_of_calls_breaks_a_promise_of_the_shell(tmp_path: Path) -> None:
