@@ -98,9 +98,9 @@ def test_however_times_are_made_a_million_steps_are_the_same(slave: Make, kind: 
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("way", "h", "steps"),
-    [("added", 0.01, 100_000_000), ("9e-7 too fast", 1 / 60, 10_000_000), ("9e-7 too slow", 1 / 60, 10_000_000)],
+    [("added", 0.01, 20_000_000), ("9e-7 too fast", 1 / 60, 10_000_000), ("9e-7 too slow", 1 / 60, 10_000_000)],
 )
-def test_a_hundred_million_steps_take_one_sample_each(slave: Make, way: str, h: float, steps: int) -> None:
+def test_ten_million_steps_and_more_take_one_sample_each(slave: Make, way: str, h: float, steps: int) -> None:
     fmu = slave("sampled_toy").initialize({"sample_time": h, "tuning.mode": 2}, t0=86400.0)
     t = 86400.0
     t = drive(fmu, "y", 86400.0, h, 0, steps, way, t)
