@@ -17,7 +17,6 @@ import shutil
 import signal
 import sys
 import tempfile
-import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager, suppress
@@ -26,13 +25,12 @@ from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from cosim.errors import suggest
 from cosim.fmu import Value
 from cosim.interrupts import interrupts_blocked
 from cosim.system import Element, System, write_ssp
-from cosim.system.by_name import Ports, connect, element_names, role
+from cosim.system.by_name import Ports, connect, element_names, role, undriven
 from cosim.system.parameter_set import read_parameter_set, the_one_with
 from cosim.system.route import Quantity
 from cosim.system.units import EXPONENTS, Unit, conversion
@@ -41,7 +39,8 @@ from fmu_src import ExportError, export
 from fmu_src.archive import check_writable
 from fmu_src.description.units import parse
 from fmu_src.native.compiler import share_group
-from observers.component import Component, Port
+from observers.component import Component, Port, unscaled
+from observers.user_file import namespace_of
 from reference_models import (
     calvillo_alamir,
     chen_yen_1999,
@@ -71,10 +70,11 @@ def system(name: str, recipe: Recipe, fmu_directory: Path) -> System:
 
 @dataclass
 class Build:
-    """What to build: FMUs (made by a function, drawn with a plant), then systems."""
+    """What to build: FMUs (made by a function, drawn with a plant), then systems; `notes`, what their maker should know."""
 
     fmus: dict[str, Source] = field(default_factory=dict)
     systems: dict[str, Recipe] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 def choose(only: Sequence[str]) -> Build:
@@ -109,26 +109,6 @@ def components_of(path: Path) -> dict[str, Source]:
     return {name: (_maker(component), _driver(component, found.values())) for name, component in found.items()}
 
 
-def namespace_of(path: Path) -> dict[str, Any]:
-    """What a Python file defines at module level, by name. Modules beside the file can be imported in it, as when Python runs it.
-
-    Raises:
-        ValueError: the file is missing, or fails.
-    """
-    if not path.is_file():
-        raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'there is no such file'}")
-    beside = str(path.resolve().parent)
-    sys.path.insert(0, beside)
-    try:
-        return runpy.run_path(str(path))
-    except (Exception, SystemExit) as error:  # a user's file can fail in any way; one line names it
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-        where = f"{path}, line {lines[-1]}" if lines else str(path)
-        raise ValueError(f"{where}: {type(error).__name__}: {error}") from error
-    finally:
-        sys.path.remove(beside)
-
-
 def build_of(path: Path) -> Build:
     """What is to be built of a Python file: its Components, and their systems.
 
@@ -143,18 +123,19 @@ def coupled(fmus: dict[str, Source]) -> Build:
     components = {name: make() for name, (make, _) in fmus.items()}
     ports = {name: Ports([p.name for p in c.inputs], [p.name for p in c.outputs]) for name, c in components.items()}
     sources = [name for name, one in ports.items() if role(one) == "source"]
-    systems = {}
+    systems, notes = {}, [note for name, component in components.items() for note in unscaled(name, component)]
     for name, (_, driven_by) in fmus.items():
         if driven_by is None:
             continue
         elements = element_names({one: ports[one] for one in (driven_by().name, name, *sources)})
         made = connect({element: ports[one] for one, element in elements.items()})
+        notes += undriven(name, made, {fmu: ports[fmu].outputs for fmu in sources})
         used = {end.partition(".")[0] for pair in made.connections for end in pair}
         fmu_of = {element: one for one, element in elements.items() if element in used}
         stop = max(components[one].stop_time for one in fmu_of.values())
         step = min(components[one].step_size for one in fmu_of.values())
         systems[name] = Recipe(f"{driven_by().name} and {name}", fmu_of, {}, stop, step, made.connections)
-    return Build(fmus, systems)
+    return Build(fmus, systems, list(dict.fromkeys(notes)))
 
 
 def with_parameters(work: Build, path: Path) -> Build:
@@ -172,7 +153,7 @@ def with_parameters(work: Build, path: Path) -> Build:
         tuned = replace(component, parameters=tuple(_started(p, values) for p in component.parameters))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return Build({**work.fmus, name: (_maker(tuned), driven_by)}, work.systems)
+    return Build({**work.fmus, name: (_maker(tuned), driven_by)}, work.systems, work.notes)
 
 
 def _started(port: Port, values: Mapping[str, Value | Quantity]) -> Port:

@@ -14,7 +14,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table as ConsoleTable
 from rich.text import Text
 
-from build_fmus import namespace_of
 from commands.console import err, fail, plain, say, split_assignments
 from commands.logs import AS_IT_IS, Mapped, mapping_of, reads_logs
 from commands.records import command_html
@@ -24,6 +23,7 @@ from cosim.replay.reading import Reading
 from cosim.report.page import Table
 from observers.component import Component
 from observers.model import Model, Variable
+from observers.user_file import namespace_of
 
 if TYPE_CHECKING:
     from advice.advise import Advice

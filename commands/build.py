@@ -93,5 +93,5 @@ def build(
         fail(f"stopped; what was finished is in {out}", 130)
     for path in written:
         print(f"{os.path.relpath(path)}  {path.stat().st_size / 1024:.0f} KiB")
-    for note in notes:
-        err.print(f"note: {note.message}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+    for note in (*work.notes, *(one.message for one in notes)):
+        err.print(f"note: {note}", style="yellow", markup=False, highlight=False, soft_wrap=True)

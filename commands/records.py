@@ -20,7 +20,7 @@ from cosim.report.observed import deviation_of
 from cosim.report.page import Table
 from cosim.results import Result, write_csv, write_legend, write_parquet
 
-COLUMNS = ("estimate", "unit", "median error", "largest, second half", "last", "within 2 std")
+COLUMNS = ("estimate", "unit", "median error", "largest, second half", "last", "within 2 std, second half")
 
 
 class Format(StrEnum):
@@ -80,6 +80,21 @@ def _row(result: Result, pair: Pair) -> tuple[str, ...]:
     within = f"{np.mean(error[half:] <= 2 * std[half:]):.0%}" if std is not None else "-"
     numbers = (np.median(error), np.max(error[half:]), error[-1])
     return (pair.estimate, result.units[pair.truth], *(f"{number:.2e}" for number in numbers), within)
+
+
+def trusted_of(result: Result) -> list[str]:
+    """A sentence for each observer: how much of the run its estimate was to be trusted, and why not in the rest."""
+    told = []
+    for name in result.names:
+        if name.endswith(".diagnostics.trusted"):
+            element, trusted = name.removesuffix(".diagnostics.trusted"), result[name] > 0.5
+            words = result.items.get(f"{element}.diagnostics.status", {})
+            codes, counts = np.unique(result[f"{element}.diagnostics.status"][~trusted].astype(int), return_counts=True)
+            why = [f"{words.get(int(codes[i]), codes[i])} {counts[i] / len(trusted):.1%}" for i in np.argsort(-counts)]
+            told.append(
+                f"{element}: trusted in {trusted.mean():.1%} of the rows" + (f"; {', '.join(why)}" if why else "")
+            )
+    return told
 
 
 def print_table(table: Table, title: str) -> None:

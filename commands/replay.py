@@ -12,7 +12,7 @@ from rich.text import Text
 
 from commands.console import SHOWN, CallLimit, ParameterSet, fail, late_progress, out, split_assignments
 from commands.logs import AS_IT_IS, Mapped, SampleTime, how_read, mapping_of, reads_logs
-from commands.records import Format, RecordFormat, command_html, write_record
+from commands.records import Format, RecordFormat, command_html, trusted_of, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.fmu import Value, read_description
 from cosim.master.slave import RunError
@@ -32,7 +32,7 @@ def replay(
     log: Annotated[
         Path,
         typer.Argument(
-            help="The recorded file, .csv or .csv.gz: columns named like the FMU's inputs, and 'time'; units as in 'v [mV]'.",
+            help="The recorded file, .csv or .csv.gz: columns named like the FMU's inputs, and 'time'; units as in 'v \\[mV]'.",
             show_default=False,
         ),
     ],
@@ -93,7 +93,7 @@ def replay(
         )
     except OSError as error:
         fail(f"cannot write to {directory}: {error.strerror or error}", 2)
-    for fact in facts:
+    for fact in (*facts, *trusted_of(made.result)):
         out.print(Text(fact), soft_wrap=True)
     for file in (*files, directory / "report.html"):
         out.print(Text(str(file)), soft_wrap=True)

@@ -22,7 +22,7 @@ from commands.console import (
     plain,
     split_assignments,
 )
-from commands.records import Format, RecordFormat, command_html, errors_of, print_table, write_record
+from commands.records import Format, RecordFormat, command_html, errors_of, print_table, trusted_of, write_record
 from cosim.errors import ExperimentError, SystemFileError, one_line
 from cosim.fmu import Value
 from cosim.master.slave import RunError
@@ -110,6 +110,8 @@ def _write_report(result: Result, errors: Table | None, path: Path) -> None:
 def _summarise(result: Result, errors: Table | None, files: Sequence[Path]) -> None:
     if errors is not None:
         print_table(errors, result.system)
+    for sentence in trusted_of(result):
+        out.print(Text(sentence), soft_wrap=True)
     table = ConsoleTable(title="Computing time", title_justify="left", title_style="bold")
     for head in ("element", "outputs", "steps", "median us/step", "max us/step"):
         table.add_column(head, justify="left" if head == "element" else "right")

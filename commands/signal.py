@@ -31,7 +31,7 @@ def signal(
     log: Annotated[
         Path,
         typer.Argument(
-            help="The file, .csv or .csv.gz: a column 'time', and one for each output; units as in 'v [mV]'.",
+            help="The file, .csv or .csv.gz: a column 'time', and one for each output; units as in 'v \\[mV]'.",
             show_default=False,
         ),
     ],

@@ -77,7 +77,7 @@ def _known(hint: Any) -> tuple[Any, str] | None:
     if hint is type(None):
         return type(None), ""
     if typing.get_origin(hint) is Mapping:
-        return Mapping, "a dict of numbers by name"
+        return Mapping, "a dict of numbers by name, {'y': 0.1},"
     return (hint, f"a {hint.__name__}") if inspect.isclass(hint) and not typing.get_origin(hint) else None
 
 

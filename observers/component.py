@@ -60,6 +60,23 @@ def bounds(port: Port) -> tuple[float, float]:
     return max(port.min, 1), min(port.max, len(port.enumeration.items))
 
 
+UNSCALED = 30.0  # times a nominal value of 1 that nobody gave: a start value that is farther from it
+
+
+def unscaled(name: str, component: Component) -> list[str]:
+    """A sentence for each estimated variable of an observer whose start value says that its nominal value is not 1."""
+    found = []
+    for port in component.parameters:
+        branch, _, variable = port.name.partition(".")
+        size = abs(port.start)
+        if branch == "guess" and port.nominal == 1 and size > 0 and not 1 / UNSCALED < size < UNSCALED:
+            found.append(
+                f"{name}: nominal of '{variable}' is 1 where its guess is {port.start:g}: give nominal, which tolerances, scales and "
+                "default noises are in"
+            )
+    return found
+
+
 @dataclass(frozen=True)
 class Failure:
     """Why a motion cannot go on: `what` happened, and the name of the `measure` that tells."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import linecache
 import re
+import sysconfig
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,12 +15,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-_NOT_THE_USERS = tuple(str(Path(place).parent) for place in (__file__, str(ca.__file__), np.__file__))
+_LIBRARIES = tuple({sysconfig.get_paths()[name] for name in ("purelib", "platlib", "stdlib")})
+_NOT_THE_USERS = (*(str(Path(place).parent) for place in (__file__, str(ca.__file__), np.__file__)), *_LIBRARIES)
 _NO_TRUTH = (
     "Python's if, while, and, or, not, min, max and a < b < c want to know now what only the running observer knows: write "
     "ca.if_else(condition, a, b), ca.logic_and(a, b), ca.logic_or(a, b), ca.logic_not(a), ca.fmin(a, b), ca.fmax(a, b)"
 )
 _NO_NUMBER = "{what} wants a number, and a symbol stands for one that is not known yet: write {cure}"
+_TABLE = (
+    "ca.interpolant('ocv', 'linear', [grid], values), or 'bspline', wants the grid as a list within a list, ascending, and a value for "
+    "each of its points"
+)
 _SYMBOL = "; a symbol stands for a number that is not known yet, so that only CasADi's functions take it (import casadi as ca)"
 
 
@@ -101,8 +107,25 @@ def _cure(error: Exception, line: str, names: str) -> str:
         )
     if isinstance(error, TypeError) and ("positional argument" in message or "unexpected keyword" in message):
         return f"{message}: a function of {names} is wanted"
+    table = of_a_table(error)
+    if table:
+        return table
     told = f"{type(error).__name__}: {message}"
-    return told + _SYMBOL if re.search(r"\bSX\b", message) else told
+    arrays = "array element with a sequence" in message  # what scipy's functions say of symbols
+    return (
+        told + _SYMBOL + ("; for a table, ca.interpolant" if arrays else "")
+        if arrays or re.search(r"\bSX\b", message)
+        else told
+    )
+
+
+def of_a_table(error: BaseException) -> str:
+    """What a failed `ca.interpolant` comes down to, in one sentence; nothing for any other error."""
+    message = str(error)
+    if not isinstance(error, RuntimeError) or "interpolant" not in message.lower():
+        return ""
+    said = re.search(r"failed:\s*([^\n]+)", message)
+    return f"{said[1].strip().rstrip('.')}; {_TABLE}" if said else _TABLE
 
 
 @contextmanager

@@ -130,13 +130,13 @@ class Model:
 
     def _check_names(self) -> None:
         if not isinstance(self.name, str) or not _NAME.match(self.name) or keyword.iskeyword(self.name):
-            raise ModelError(f"model name {self.name!r} is not an identifier")
+            raise ModelError(f"model name {self.name!r} {_no_name(self.name)}")
         self._check_groups()
         seen: dict[str, str] = {}
         for group, variables in self._groups().items():
             for variable in variables:
                 if not _NAME.match(variable.name) or keyword.iskeyword(variable.name):
-                    raise ModelError(f"model '{self.name}': {group} name {variable.name!r} is not an identifier")
+                    raise ModelError(f"model '{self.name}': {group} name {variable.name!r} {_no_name(variable.name)}")
                 # A sensor may have the name of the state that it shows: nothing of the two is ever looked up in one place.
                 if variable.name in seen and not (group == "output" and seen[variable.name] == "state"):
                     raise ModelError(
@@ -278,3 +278,9 @@ def column_of(where: str, values: Sequence[Any], variables: Sequence[Variable]) 
             )
         column.append(value)
     return ca.vertcat(*column) if column else ca.SX(0, 1)
+
+
+def _no_name(given: object) -> str:
+    if isinstance(given, str) and keyword.iskeyword(given):
+        return "is a word of Python's own: take another, such as " + repr(f"{given}_")
+    return "is not an identifier: letters, digits and _, a letter first"

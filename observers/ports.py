@@ -187,8 +187,13 @@ def guesses(model: Model, guess: Mapping[str, float]) -> tuple[Port, ...]:
     known = {v.name: v for v in _estimated(model)}
     for name, value in guess.items():
         if name not in known:
-            raise ModelError(f"guess of '{name}': model '{model.name}' has no such state or unknown parameter")
-        known[name] = replace(known[name], start=value)
+            raise ModelError(
+                f"guess of '{name}': model '{model.name}' has no such state or unknown parameter; known: {', '.join(known)}"
+            )
+        v = known[name]
+        if isinstance(value, (int, float)) and math.isfinite(value) and not v.min <= value <= v.max:
+            raise ModelError(f"guess of '{name}' = {value:g} lies outside [{v.min:g}, {v.max:g}]")
+        known[name] = replace(v, start=value)
     return tuple(_like(f"guess.{v.name}", v, "first guess of the", "fixed") for v in known.values())
 
 

@@ -119,7 +119,8 @@ def _notes(late: list[str], silent: list[str]) -> list[str]:
     notes = []
     if late:
         notes.append(
-            f"outputs that depend directly on inputs show those of the step before (Jacobi exchange): {listed(late)}"
+            f"outputs that depend directly on inputs show those of the step before (Jacobi exchange): {listed(late)}; an observer of them "
+            "pairs measurement and input wrongly where an input jumps at a sample instant: let it jump between two, with two steps a sample"
         )
     if silent:
         notes.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -58,3 +59,18 @@ def connect(elements: Mapping[str, Ports]) -> Connected:
             elif not name.startswith("measurement_valid."):
                 left[f"{element}.{name}"] = f"no other has an output '{name}'"
     return Connected(connections, left)
+
+
+def undriven(system: str, made: Connected, sources: Mapping[str, Sequence[str]]) -> list[str]:
+    """A sentence for each name of inputs that nothing drives, with an output of the `sources` (by FMU) that may be meant."""
+    by_input: dict[str, list[str]] = {}
+    for end in made.open:
+        by_input.setdefault(end.partition(".")[2], []).append(end)
+    free = {name: fmu for fmu, outputs in sources.items() for name in outputs}
+    found = []
+    for name, ends in by_input.items():
+        near = difflib.get_close_matches(name, list(free), n=1, cutoff=0.5)
+        meant = f": is it '{near[0]}' of {free[near[0]]}?" if near else ""
+        verb = "keeps its start value" if len(ends) == 1 else "keep their start values"
+        found.append(f"system {system}: no source puts out '{name}'; {' and '.join(ends)} {verb}{meant}")
+    return found

@@ -96,3 +96,9 @@ def test_a_users_mistake_is_one_line_and_status_2(tmp_path: Path, arguments: lis
     (tmp_path / "taken").write_text("a file")
     assert message in refused(build(tmp_path, *arguments))
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_an_argument_of_no_such_name_is_told_what_it_may_have_meant(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("from observers.model import Variable\nheight = Variable('h', units='m')\n")
+    line = refused(build(tmp_path, "--file", "mine.py"))
+    assert "mine.py, line 2: " in line and line.endswith("did you mean unit?")

@@ -10,8 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from observers.canonical_dae import canonical_dae
+from observers.component import unscaled
 from observers.controller import controller
 from observers.elementary import elementary
 from observers.least_squares import least_squares
@@ -205,3 +207,52 @@ def test_sizes_that_would_build_for_hours_are_refused_with_what_to_take_instead(
         ukf(many, sample_time=0.1)
     with pytest.raises(ValueError, match=r"N = 500 is more than 200, .* or several segments of it"):
         pseudospectral(pendulum(), sample_time=0.05, N=500, L=20)
+
+
+def test_a_guess_is_named_as_one_with_its_bounds_and_with_the_names_there_are() -> None:
+    bounded = pendulum(states=[Variable("angle", start=1.0, max=2.0), Variable("rate")])
+    assert (
+        message(lambda: ukf(bounded, sample_time=0.1, guess={"angle": 40}))
+        == "guess of 'angle' = 40 lies outside [-inf, 2]"
+    )
+    assert message(lambda: ukf(bounded, sample_time=0.1, guess={"h5": 4})).endswith("; known: angle, rate")
+
+
+def test_a_name_that_python_has_for_itself_is_told_apart_from_no_name() -> None:
+    assert "'lambda' is a word of Python's own: take another" in message(
+        lambda: pendulum(parameters=[Variable("stiffness"), Variable("lambda")])
+    )
+    assert "'a b' is not an identifier" in message(
+        lambda: pendulum(parameters=[Variable("stiffness"), Variable("a b")])
+    )
+
+
+TABLES: dict[str, tuple[str, Any, list[float]]] = {
+    "a value too few": ("linear", [[0.0, 1.0, 2.0]], [1.0, 2.0]),
+    "no order": ("linear", [[0.0, 2.0, 1.0]], [1.0, 2.0, 3.0]),
+    "no list of grids": ("linear", [0.0, 1.0, 2.0], [1.0, 2.0, 3.0]),
+    "an unknown kind": ("cubic", [[0.0, 1.0, 2.0]], [1.0, 2.0, 3.0]),
+}
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_a_table_that_casadi_refuses_is_one_sentence_with_the_form_that_it_takes(kind: str) -> None:
+    said = message(lambda: pendulum(output=lambda x, u, p, t: [ca.interpolant("ocv", *TABLES[kind])(x.angle)]))
+    assert "test_mistakes.py: " in said and "ca.interpolant('ocv', 'linear', [grid], values), or 'bspline'" in said
+    assert "casadi/" not in said and len(said) < 400
+
+
+def test_a_function_of_scipys_on_a_symbol_names_the_users_line() -> None:
+    spline = CubicSpline([0, 1, 2, 3], [0, 1, 2, 4])
+    said = message(lambda: pendulum(output=lambda x, u, p, t: [spline(x.angle)]))
+    assert "test_mistakes.py: " in said and said.endswith("for a table, ca.interpolant")
+
+
+@pytest.mark.parametrize(("start", "noted"), [(324.5, True), (0.02, True), (-40.0, True), (0.0, False), (29.0, False)])
+def test_an_estimate_far_from_its_nominal_value_of_1_is_noted(start: float, noted: bool) -> None:
+    made = ukf(pendulum(states=[Variable("angle", start=start), Variable("rate")]), sample_time=0.1)
+    notes = unscaled("pendulum_ukf", made)
+    assert [note.partition(":")[0] for note in notes] == ["pendulum_ukf"] * noted
+    assert all("nominal of 'angle' is 1" in note for note in notes)
+    scaled = ukf(pendulum(states=[Variable("angle", start=start, nominal=2.0), Variable("rate")]), sample_time=0.1)
+    assert unscaled("pendulum_ukf", scaled) == []

@@ -78,7 +78,7 @@ def test_guesses_take_the_models_start_or_the_given_one_within_the_bounds() -> N
     ]
     with pytest.raises(ModelError, match="guess of 'mass': model 'mixed' has no such state or unknown parameter"):
         ports.guesses(MIXED, {"mass": 1.0})
-    with pytest.raises(ModelError, match=r"start = 91 lies outside \[-40, 90\]"):
+    with pytest.raises(ModelError, match=r"guess of 'T' = 91 lies outside \[-40, 90\]"):
         ports.guesses(MIXED, {"T": 91.0})
 
 
