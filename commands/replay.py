@@ -89,7 +89,11 @@ def replay(
         files = write_record(made.result, directory, "estimates", form)
         intro = command_html() + "".join(f"<p>{escape(fact)}</p>" for fact in facts)
         write_report(
-            directory / "report.html", made.result.system, intro, [_inputs(made)], [on_run("Figures", "", made.result)]
+            directory / "report.html",
+            made.result.system,
+            intro,
+            [_inputs(made)],
+            [on_run("The replay", "", made.result)],
         )
     except OSError as error:
         fail(f"cannot write to {directory}: {error.strerror or error}", 2)

@@ -103,7 +103,7 @@ def run(
 def _write_report(result: Result, errors: Table | None, path: Path) -> None:
     intro = f"<p>{len(result.time) - 1} communication steps of {result.step:g} s up to t = {result.time[-1]:g} s.</p>"
     write_report(
-        path, result.system, command_html() + intro, [errors] if errors else [], [on_run("Figures", "", result)]
+        path, result.system, command_html() + intro, [errors] if errors else [], [on_run("The run", "", result)]
     )
 
 

@@ -15,6 +15,7 @@ TRUTH, ESTIMATE = INK, "#d55e00"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7a5195", "#767676")
 POINTS = 1500  # that a curve keeps; more would only make the file large
 ROW, TALL = 210, 330  # heights of a figure in pixels
+STRIPS = 800  # that the rows are grouped to where they are shaded
 MOST = 8  # curves in one figure
 USUAL = (0.02, 0.98)  # quantiles between which an axis is never cut
 FAR = 3.0  # spans of these quantiles: what is farther off is a spike, at which the axis is cut
@@ -52,6 +53,16 @@ class Axes:
         self.figure.varea(
             _small(self.x[kept]), *edges, fill_color=colour, fill_alpha=0.18, legend_label=label, level="underlay"
         )
+
+    def spans(self, where: np.ndarray, label: str) -> None:
+        """Shades the times at which `where` (n,) holds, to the next row's; nothing if it never does."""
+        if not where.any():
+            return
+        firsts = np.arange(0, len(where), max(1, -(-len(where) // STRIPS)))  # of a group of rows that are shaded alike
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], np.logical_or.reduceat(where, firsts), [False]])))
+        ends = np.append(self.x[firsts], self.x[-1])
+        style = {"fill_color": INK, "fill_alpha": 0.1, "line_color": None, "level": "underlay", "legend_label": label}
+        self.figure.vstrip(_small(ends[edges[::2]]), _small(ends[edges[1::2]]), **style)
 
     def done(self) -> new_figure:
         cut = self._choose_range()
@@ -135,7 +146,7 @@ def _legend() -> Legend:
         padding=2,
         margin=2,
         label_text_font_size="12px",
-        ncols=4,
+        ncols=3,  # four of them are cut off on a narrow screen
     )
 
 

@@ -45,7 +45,10 @@ def figures(result: Result) -> list[new_figure]:
 
 def _estimate(result: Result, name: str, truth: str | None, shared: Range1d) -> new_figure:
     variable = name.partition(".estimate.")[2]
-    drawn = axes(f"{variable}{_of(result, name)}", result.units[name], result.time, shared)
+    drawn = axes(f"{variable}{_of(result, name)}", result.units[name], result.time, shared, height=TALL)
+    trusted = name.partition(".estimate.")[0] + ".diagnostics.trusted"
+    if trusted in result.names:
+        drawn.spans(result[trusted] < 0.5, "not trusted")
     std = deviation_of(result, name)
     if std is not None:
         drawn.band(result[name] - 2 * std, result[name] + 2 * std, "estimated +- 2 std", ESTIMATE)

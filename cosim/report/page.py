@@ -100,7 +100,7 @@ def write_report(path: Path, title: str, intro_html: str, tables: Sequence[Table
     Raises:
         OSError: the file cannot be written.
     """
-    parts = [f"<h1>{escape(title)}</h1>", intro_html, *map(_html_table, tables)]
+    parts = [f"<h1>{escape(title).replace('_', '_<wbr>')}</h1>", intro_html, *map(_html_table, tables)]
     if len(sections) > 1:
         links = (f'<li><a href="#part-{i}">{escape(one.heading)}</a></li>' for i, one in enumerate(sections))
         parts.append(f"<ul>{''.join(links)}</ul>")

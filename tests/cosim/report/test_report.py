@@ -130,10 +130,29 @@ def test_a_constant_that_was_found_exactly_is_a_line_on_an_axis_of_some_width(du
 
 def test_the_band_is_two_standard_deviations_about_the_estimate(duffing_system: Path) -> None:
     result = run(duffing_system)
-    (band,) = [r for r in figures(result)[0].renderers if hasattr(r.glyph, "fill_alpha")]
+    (band,) = [r for r in figures(result)[0].renderers if type(r.glyph).__name__ == "VArea"]
     x1, std = result["observer.estimate.x1"], result["observer.diagnostics.std.x1"]
     np.testing.assert_array_equal(band.data_source.data["y1"], (x1 - 2 * std).astype(np.float32))
     np.testing.assert_array_equal(band.data_source.data["y2"], (x1 + 2 * std).astype(np.float32))
+
+
+def test_times_at_which_an_estimate_is_not_trusted_are_shaded(duffing_system: Path) -> None:
+    result = run(duffing_system)
+    values, column = result.values.copy(), result.names.index("observer.diagnostics.trusted")
+
+    def shaded(trusted: np.ndarray) -> list[tuple[float, float]]:
+        values[:, column] = trusted
+        found = figures(dataclasses.replace(result, values=values))[0].renderers
+        data = [r.data_source.data for r in found if type(r.glyph).__name__ == "VStrip"]
+        return [
+            (float(low), float(high)) for strips in data for low, high in zip(strips["x0"], strips["x1"], strict=True)
+        ]
+
+    trusted = np.ones(len(result.time))
+    assert shaded(trusted) == []
+    trusted[:3] = trusted[10:12] = trusted[-1] = 0
+    t = np.float32(result.time).astype(float)
+    assert shaded(trusted) == [(t[0], t[3]), (t[10], t[12]), (t[-1], t[-1])]
 
 
 def test_statuses_are_counted_in_words(duffing_system: Path) -> None:
