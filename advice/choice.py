@@ -28,6 +28,27 @@ def choose(outcomes: Sequence[Outcome]) -> Outcome | None:
     return min(equals, key=lambda o: o.per_sample)
 
 
+def why(chosen: Outcome, outcomes: Sequence[Outcome]) -> str:
+    """One sentence on what `choose` went by, of its choice."""
+    able = [o for o in outcomes if not unfit(o, outcomes)]
+    best = min(able, key=lambda o: o.total)
+    near = [o for o in able if o.total <= NEAR * best.total]
+    if len(able) == 1:
+        return "The only one that settles and is not wrong in silence."
+    clean = f"{chosen.total / best.total:.2f} times that of {best.candidate.method}"
+    told = ["the least error on clean streams" if chosen is best else f"an error on clean streams of {clean}"]
+    jumps = [o.after_jump for o in near if o.after_jump is not None]
+    if chosen.after_jump is not None and len(near) > 1:
+        least = chosen.after_jump <= min(jumps)
+        told.append(
+            "the least after a jump" if least else f"after a jump {chosen.after_jump / min(jumps):.2f} times the least"
+        )
+    equals = [o for o in near if _regret(o, near) <= TIE * min(_regret(other, near) for other in near)]
+    if len(equals) > 1:
+        told.append(f"the quickest of the {len(equals)} that are equal to {TIE - 1:.0%}")
+    return f"It has {', '.join(told)}."
+
+
 def _regret(outcome: Outcome, among: Sequence[Outcome]) -> float:
     """By which factor an error is larger than the least one: on clean streams or after a jump, whichever is more."""
     factors = [outcome.total / min(o.total for o in among)]

@@ -224,7 +224,7 @@ def _advise(
         out.print(Text(line), soft_wrap=True)
     if made.outcomes:
         out.print(_table(table(made), made.choice.candidate.method if made.choice is not None else ""))
-    for line in (*reasons(made), "", *_ending(made, file, found.code), ""):
+    for line in (*reasons(made), "", *_ending(made, file, variable, found.code), ""):
         out.print(Text(line), soft_wrap=True)
     return found
 
@@ -261,16 +261,21 @@ def _code(made: Advice, variable: str) -> str:
     return f"from observers.{chosen.method} import {chosen.method}\nobserver = {chosen.line(variable)}"
 
 
-def _ending(made: Advice, file: Path, code: str) -> list[str]:
+def _ending(made: Advice, file: Path, variable: str, code: str) -> list[str]:
     """What to take, to copy."""
+    from advice.choice import why
+
     if made.choice is None:
         return [f"No observer can be advised for {made.model.name}."]
+    driven = f" and a source of {', '.join(v.name for v in made.model.inputs)}" if made.model.inputs else ""
     return [
-        f"Take {made.choice.candidate.method}. Into {file}:",
+        f"Take {made.choice.candidate.method}. {why(made.choice, made.outcomes)} Into {file}:",
         "",
         *code.splitlines(),
         "",
         "and then:",
         "",
         f"observer-fmus build --file {file}",
+        "",
+        f"With plant({variable}) of reference_models.plant in the file too{driven}, this writes a system that runs.",
     ]

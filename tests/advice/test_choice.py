@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from advice.advise import MOTIONS, STAGES, advise
 from advice.candidates import METHODS, Candidate, Refused, Task, candidate
-from advice.choice import choose, unfit
+from advice.choice import choose, unfit, why
 from advice.region import AdviceError
 from advice.trial import Outcome
 from observers.model import Model, Variable
@@ -121,3 +122,22 @@ def test_an_observer_that_is_lost_after_a_jump_is_not_the_choice() -> None:
 def test_of_equals_the_cheaper_is_taken() -> None:
     slow, fast, worse = outcome("slow", 1.0, 1e-4), outcome("fast", 1.02, 1e-6), outcome("worse", 1.1, 1e-7)
     assert choose([slow, fast, worse]) is fast
+
+
+def named(method: str, total: float, after_jump: float | None = None, per_sample: float = 1e-5) -> Outcome:
+    made = outcome(method, total, per_sample, after_jump=after_jump)
+    return replace(made, candidate=SimpleNamespace(method=method))  # type: ignore[arg-type]
+
+
+def test_the_reason_of_the_choice_is_said_in_one_sentence() -> None:
+    alone = [named("ukf", 1.0)]
+    assert why(alone[0], alone) == "The only one that settles and is not wrong in silence."
+    best, alert = named("stiff", 1.0, after_jump=3.0), named("alert", 1.2, after_jump=1.0)
+    assert why(alert, [best, alert]) == (
+        "It has an error on clean streams of 1.20 times that of stiff, the least after a jump."
+    )
+    slow, quick = named("slow", 1.0, per_sample=1e-5), named("quick", 1.01, per_sample=1e-6)
+    assert choose([slow, quick]) is quick
+    assert why(quick, [slow, quick]) == (
+        "It has an error on clean streams of 1.01 times that of slow, the quickest of the 2 that are equal to 3%."
+    )
