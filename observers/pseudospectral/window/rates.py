@@ -19,7 +19,7 @@ from observers.pseudospectral.window import groups
 from observers.pseudospectral.window.along import Along, affine
 from observers.pseudospectral.window.problem import LeastSquares
 
-SPARSE = 0.5  # part of the tiles, elimination's included, from which on they are full
+SPARSE = 0.6  # part of the tiles, elimination's included, from which on they are full
 
 
 def are_sparse(split: Split, x: Any, order: int) -> bool:

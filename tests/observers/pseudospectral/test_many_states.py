@@ -7,7 +7,9 @@ from scipy.optimize import least_squares
 
 from observers.instance import Instance
 from observers.model import Model, Variable
+from observers.numerics.semilinear import split, thinned
 from observers.pseudospectral import pseudospectral
+from observers.pseudospectral.window.rates import are_sparse
 
 N_MASSES, TS, L, STEPS = 5, 0.3, 16, 12
 NEIGHBOURS = np.eye(N_MASSES, k=1) + np.eye(N_MASSES, k=-1)
@@ -113,3 +115,11 @@ def test_process_noise_of_a_rate_is_what_the_batch_least_squares_finds(coupling)
     last = motion(coupling, batch[: len(true)], push + batch[len(true) :])[-1]
     np.testing.assert_allclose([run.get(f"filtered.{name}") for name in NAMES], last, rtol=0, atol=1e-5)
     assert np.abs(last - motion(coupling, true, push + noise)[-1]).max() > 1e-3
+
+
+@pytest.mark.parametrize(("coupling", "sparse"), [(NEIGHBOURS, True), (PAIRS, True), (ALL, False)])
+def test_few_neighbours_are_worked_on_by_rates_and_many_by_nodes(coupling, sparse):
+    eq = masses(coupling).equations
+    thin = thinned(split(eq.ode, eq.x, eq.u), eq.ode, eq.x, eq.u)
+    assert are_sparse(thin, eq.x, 7) == sparse
+    assert not are_sparse(thin, eq.x, 11)  # tiles of so many nodes are no better
