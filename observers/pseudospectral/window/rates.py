@@ -58,7 +58,7 @@ def _pays(sees: np.ndarray, follows: np.ndarray) -> bool:
     filled = full[np.ix_(order, order)]
     for k in range(len(filled)):
         filled[k + 1 :, k + 1 :] |= np.outer(filled[k + 1 :, k], filled[k, k + 1 :])
-    return bool(filled.mean() <= SPARSE)
+    return bool(len(filled) and filled.mean() <= SPARSE)
 
 
 def _by_rates(problem: LeastSquares, at: Along, RG: Any) -> tuple[list[Any], Any]:
