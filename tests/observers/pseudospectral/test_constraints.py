@@ -198,7 +198,7 @@ def test_bounds_go_with_an_arrival_cost():
 
 
 def test_a_guess_outside_the_bounds_is_refused_with_the_limit():
-    with pytest.raises(ModelError, match=r"variable 'x3': start = -0\.5 lies outside \[0, inf\]"):
+    with pytest.raises(ModelError, match=r"guess of 'x3' = -0\.5 lies outside \[0, inf\]"):
         pseudospectral(rotation(), sample_time=TS, guess={"x3": -0.5})
     with pytest.raises(ValueError, match=r"guess\.x3 = -0\.5 lies outside \[0, inf\]"):
         Instance(pseudospectral(rotation(), sample_time=TS, N=15), {"guess.x3": -0.5})
