@@ -39,8 +39,9 @@ from fmu_src import ExportError, export
 from fmu_src.archive import check_writable
 from fmu_src.description.units import parse
 from fmu_src.native.compiler import share_group
-from observers.component import Component, Port, unscaled
+from observers.component import Component, Port, estimated
 from observers.user_file import namespace_of
+from observers.variable import unscaled
 from reference_models import (
     calvillo_alamir,
     chen_yen_1999,
@@ -123,7 +124,10 @@ def coupled(fmus: dict[str, Source]) -> Build:
     components = {name: make() for name, (make, _) in fmus.items()}
     ports = {name: Ports([p.name for p in c.inputs], [p.name for p in c.outputs]) for name, c in components.items()}
     sources = [name for name, one in ports.items() if role(one) == "source"]
-    systems, notes = {}, [note for name, component in components.items() for note in unscaled(name, component)]
+    systems, notes = (
+        {},
+        [f"{name}: {note}" for name, component in components.items() for note in unscaled(estimated(component))],
+    )
     for name, (_, driven_by) in fmus.items():
         if driven_by is None:
             continue

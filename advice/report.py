@@ -12,6 +12,7 @@ from advice.choice import unfit
 from advice.trial import Outcome
 from cosim.errors import one_line
 from cosim.report.page import Section, Table, on_run, write_report
+from observers.variable import unscaled
 
 
 def facts(made: Advice, noise: Mapping[str, float]) -> list[str]:
@@ -33,6 +34,7 @@ def facts(made: Advice, noise: Mapping[str, float]) -> list[str]:
     facts.append(f"Sample time: {made.sample_time:g} s{by}.")
     if seen.window is not None:
         facts.append(f"Window: {seen.window} samples determine every state and unknown parameter.")
+    facts += [f"Note: {note}." for note in unscaled((*model.states, *model.unknown_parameters, *model.outputs))]
     facts += [f"Observability: {sentence}." for sentence in seen.said]
     return facts
 

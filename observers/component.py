@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import casadi as ca
@@ -60,21 +60,10 @@ def bounds(port: Port) -> tuple[float, float]:
     return max(port.min, 1), min(port.max, len(port.enumeration.items))
 
 
-UNSCALED = 30.0  # times a nominal value of 1 that nobody gave: a start value that is farther from it
-
-
-def unscaled(name: str, component: Component) -> list[str]:
-    """A sentence for each estimated variable of an observer whose start value says that its nominal value is not 1."""
-    found = []
-    for port in component.parameters:
-        branch, _, variable = port.name.partition(".")
-        size = abs(port.start)
-        if branch == "guess" and port.nominal == 1 and size > 0 and not 1 / UNSCALED < size < UNSCALED:
-            found.append(
-                f"{name}: nominal of '{variable}' is 1 where its guess is {port.start:g}: give nominal, which tolerances, scales and "
-                "default noises are in"
-            )
-    return found
+def estimated(component: Component) -> list[Port]:
+    """The states and unknown parameters that an observer has a guess of, under their own names; none of another component."""
+    guesses = [port for port in component.parameters if port.name.startswith("guess.")]
+    return [replace(port, name=port.name.removeprefix("guess.")) for port in guesses]
 
 
 @dataclass(frozen=True)

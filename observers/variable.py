@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from numbers import Real
 from typing import ClassVar
@@ -58,6 +59,18 @@ class Variable:
             raise ModelError(
                 f"variable '{self.name}': start = {self.start:g} lies outside [{self.min:g}, {self.max:g}]"
             )
+
+
+UNSCALED = 30.0  # times a nominal value of 1 that nobody gave: a start value that is farther from it
+
+
+def unscaled(variables: Iterable[Variable]) -> list[str]:
+    """A sentence for each whose start value says that its nominal value is not 1."""
+    return [
+        f"nominal of '{v.name}' is 1 where it starts at {v.start:g}: give nominal, which tolerances, scales and default noises are in"
+        for v in variables
+        if v.nominal == 1 and v.start != 0 and not 1 / UNSCALED < abs(v.start) < UNSCALED
+    ]
 
 
 class Names:
