@@ -57,20 +57,28 @@ def connect(elements: Mapping[str, Ports]) -> Connected:
             elif owners:
                 left[f"{element}.{name}"] = f"{' and '.join(owners)} have an output '{name}'"
             elif not name.startswith("measurement_valid."):
-                left[f"{element}.{name}"] = f"no other has an output '{name}'"
+                left[f"{element}.{name}"] = _nobody(name)
     return Connected(connections, left)
 
 
+def _nobody(name: str) -> str:
+    return f"no other has an output '{name}'"
+
+
 def undriven(system: str, made: Connected, sources: Mapping[str, Sequence[str]]) -> list[str]:
-    """A sentence for each name of inputs that nothing drives, with an output of the `sources` (by FMU) that may be meant."""
-    by_input: dict[str, list[str]] = {}
-    for end in made.open:
-        by_input.setdefault(end.partition(".")[2], []).append(end)
+    """A sentence for each name of inputs that stay open, and its reason: where nothing drives it, an output of the `sources` (by FMU) that
+    may be meant.
+    """
+    by_input: dict[tuple[str, str], list[str]] = {}
+    for end, reason in made.open.items():
+        by_input.setdefault((end.partition(".")[2], reason), []).append(end)
     free = {name: fmu for fmu, outputs in sources.items() for name in outputs}
     found = []
-    for name, ends in by_input.items():
-        near = difflib.get_close_matches(name, list(free), n=1, cutoff=0.5)
+    for (name, reason), ends in by_input.items():
+        nobody = reason == _nobody(name)
+        near = difflib.get_close_matches(name, list(free), n=1, cutoff=0.5) if nobody else []
         meant = f": is it '{near[0]}' of {free[near[0]]}?" if near else ""
         verb = "keeps its start value" if len(ends) == 1 else "keep their start values"
-        found.append(f"system {system}: no source puts out '{name}'; {' and '.join(ends)} {verb}{meant}")
+        why = f"no source puts out '{name}'" if nobody else reason
+        found.append(f"system {system}: {why}; {' and '.join(ends)} {verb}{meant}")
     return found

@@ -35,8 +35,8 @@ def notes(*others: Component) -> list[str]:
     return coupled(made).notes  # type: ignore[arg-type]
 
 
-def source(output: str) -> Component:
-    return controller("pumps", inputs=[], outputs=[Variable(output)], law=lambda x, p, t: [1.0])
+def source(output: str, name: str = "pumps") -> Component:
+    return controller(name, inputs=[], outputs=[Variable(output)], law=lambda x, p, t: [1.0])
 
 
 def test_an_input_that_no_source_drives_is_named_with_the_output_that_may_be_meant() -> None:
@@ -46,6 +46,13 @@ def test_an_input_that_no_source_drives_is_named_with_the_output_that_may_be_mea
     assert notes() == [open_ends]
     assert notes(source("pump1")) == [f"{open_ends}: is it 'pump1' of pumps?"]
     assert notes(source("pump_1")) == []
+
+
+def test_an_input_that_two_sources_drive_is_open_for_that_reason() -> None:
+    (note,) = notes(source("pump_1"), source("pump_1", "others"))
+    assert note == (
+        "system driven_ukf: pumps and others have an output 'pump_1'; plant.pump_1 and observer.pump_1 keep their start values"
+    )
 
 
 def test_a_run_says_how_much_of_it_was_trusted_and_why_the_rest_was_not(duffing_system: Path, tmp_path: Path) -> None:
