@@ -124,10 +124,8 @@ def coupled(fmus: dict[str, Source]) -> Build:
     components = {name: make() for name, (make, _) in fmus.items()}
     ports = {name: Ports([p.name for p in c.inputs], [p.name for p in c.outputs]) for name, c in components.items()}
     sources = [name for name, one in ports.items() if role(one) == "source"]
-    systems, notes = (
-        {},
-        [f"{name}: {note}" for name, component in components.items() for note in unscaled(estimated(component))],
-    )
+    notes = [f"{name}: {note}" for name, component in components.items() for note in unscaled(estimated(component))]
+    systems = {}
     for name, (_, driven_by) in fmus.items():
         if driven_by is None:
             continue

@@ -19,34 +19,35 @@ TIE = 1.03  # times the smallest regret: the cheapest of these is taken
 
 def choose(outcomes: Sequence[Outcome]) -> Outcome | None:
     """The first choice, None where no observer is one."""
-    able = [o for o in outcomes if not unfit(o, outcomes)]
-    if not able:
-        return None
-    near = [o for o in able if o.total <= NEAR * min(other.total for other in able)]
-    regrets = [_regret(o, near) for o in near]
-    equals = [o for o, regret in zip(near, regrets, strict=True) if regret <= TIE * min(regrets)]
-    return min(equals, key=lambda o: o.per_sample)
+    _, _, equals = _finalists(outcomes)
+    return min(equals, key=lambda o: o.per_sample) if equals else None
 
 
 def why(chosen: Outcome, outcomes: Sequence[Outcome]) -> str:
     """One sentence on what `choose` went by, of its choice."""
-    able = [o for o in outcomes if not unfit(o, outcomes)]
-    best = min(able, key=lambda o: o.total)
-    near = [o for o in able if o.total <= NEAR * best.total]
+    able, near, equals = _finalists(outcomes)
     if len(able) == 1:
         return "The only one that settles and is not wrong in silence."
+    best = min(able, key=lambda o: o.total)
     clean = f"{chosen.total / best.total:.2f} times that of {best.candidate.method}"
     told = ["the least error on clean streams" if chosen is best else f"an error on clean streams of {clean}"]
-    jumps = [o.after_jump for o in near if o.after_jump is not None]
     if chosen.after_jump is not None and len(near) > 1:
-        least = chosen.after_jump <= min(jumps)
+        least = min(o.after_jump for o in near if o.after_jump is not None)
+        factor = chosen.after_jump / least
         told.append(
-            "the least after a jump" if least else f"after a jump {chosen.after_jump / min(jumps):.2f} times the least"
+            f"after a jump {factor:.2f} times the least" if chosen.after_jump > least else "the least after a jump"
         )
-    equals = [o for o in near if _regret(o, near) <= TIE * min(_regret(other, near) for other in near)]
     if len(equals) > 1:
         told.append(f"the quickest of the {len(equals)} that are equal to {TIE - 1:.0%}")
     return f"It has {', '.join(told)}."
+
+
+def _finalists(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome], list[Outcome]]:
+    """Those that can be chosen, of these those near the best on clean streams, of these those that are nowhere far from the best."""
+    able = [o for o in outcomes if not unfit(o, outcomes)]
+    near = [o for o in able if o.total <= NEAR * min(other.total for other in able)]
+    regrets = [_regret(o, near) for o in near]
+    return able, near, [o for o, regret in zip(near, regrets, strict=True) if regret <= TIE * min(regrets)]
 
 
 def _regret(outcome: Outcome, among: Sequence[Outcome]) -> float:

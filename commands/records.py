@@ -17,7 +17,7 @@ from rich.table import Table as ConsoleTable
 from commands.console import NAME, out
 from cosim.report.estimates import Pair, pairs
 from cosim.report.observed import deviation_of
-from cosim.report.page import Table
+from cosim.report.page import Table, shares
 from cosim.results import Result, write_csv, write_legend, write_parquet
 
 COLUMNS = ("estimate", "unit", "median error", "largest, second half", "last", "within 2 std, second half")
@@ -88,12 +88,9 @@ def trusted_of(result: Result) -> list[str]:
     for name in result.names:
         if name.endswith(".diagnostics.trusted"):
             element, trusted = name.removesuffix(".diagnostics.trusted"), result[name] > 0.5
-            words = result.items.get(f"{element}.diagnostics.status", {})
-            codes, counts = np.unique(result[f"{element}.diagnostics.status"][~trusted].astype(int), return_counts=True)
-            why = [f"{words.get(int(codes[i]), codes[i])} {counts[i] / len(trusted):.1%}" for i in np.argsort(-counts)]
-            told.append(
-                f"{element}: trusted in {trusted.mean():.1%} of the rows" + (f"; {', '.join(why)}" if why else "")
-            )
+            rest = sorted(shares(result, f"{element}.diagnostics.status", ~trusted), key=lambda share: -share[2])
+            why = ", ".join(f"{word or code} {part:.1%}" for word, code, part in rest)
+            told.append(f"{element}: trusted in {trusted.mean():.1%} of the rows" + (f"; {why}" if why else ""))
     return told
 
 

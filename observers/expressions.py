@@ -111,12 +111,9 @@ def _cure(error: Exception, line: str, names: str) -> str:
     if table:
         return table
     told = f"{type(error).__name__}: {message}"
-    arrays = "array element with a sequence" in message  # what scipy's functions say of symbols
-    return (
-        told + _SYMBOL + ("; for a table, ca.interpolant" if arrays else "")
-        if arrays or re.search(r"\bSX\b", message)
-        else told
-    )
+    if "array element with a sequence" in message:  # what scipy's functions say of symbols
+        return f"{told}{_SYMBOL}; for a table, ca.interpolant"
+    return told + _SYMBOL if re.search(r"\bSX\b", message) else told
 
 
 def of_a_table(error: BaseException) -> str:

@@ -131,13 +131,20 @@ def statuses(result: Result) -> list[Table]:
     made = []
     for name in result.names:
         if name.endswith(".status") and name in result.items:
-            codes, counts = np.unique(result[name].astype(int), return_counts=True)
-            rows = [
-                (result.items[name].get(int(code), ""), str(code), f"{count / len(result.time):.1%}")
-                for code, count in zip(codes, counts, strict=True)
-            ]
+            rows = [(word, str(code), f"{part:.1%}") for word, code, part in shares(result, name)]
             made.append(Table((name, "code", "of the rows"), rows))
     return made
+
+
+def shares(result: Result, name: str, where: np.ndarray | None = None) -> list[tuple[str, int, float]]:
+    """Word and code of each value of an enumeration, and in which part of all rows it occurred; only of those `where` (n,) it counts."""
+    values = result[name] if where is None else result[name][where]
+    codes, counts = np.unique(values.astype(int), return_counts=True)
+    words = result.items.get(name, {})
+    return [
+        (words.get(int(code), ""), int(code), float(count / len(result.time)))
+        for code, count in zip(codes, counts, strict=True)
+    ]
 
 
 def _drawing(items: Sequence[object]) -> str:

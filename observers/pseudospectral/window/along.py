@@ -110,7 +110,7 @@ def _mostly_zero(matrix: np.ndarray) -> bool:
 
 
 def _by_rows(matrix: np.ndarray, X: Any) -> Any:
-    """matrix X: rows that share most of what is not zero are one dense product."""
+    """matrix X: rows that are not zero in the same columns are one dense product of these."""
     groups_of: dict[tuple[int, ...], list[int]] = {}
     for i, row in enumerate(matrix):
         groups_of.setdefault(tuple(int(j) for j in np.flatnonzero(row)), []).append(i)

@@ -49,14 +49,9 @@ def collocated(rates: Pointwise, size: int, n: int, n_noise: int = 0) -> ca.Func
 @cache
 def collocated_at(rates: Pointwise) -> ca.Function:
     """phi_x (nv x nq, sparse), phi - V, phi_theta (nv x nt) and z at one node."""
-    body = rates.value
-
-    def symbols(i: int) -> ca.SX:
-        return ca.SX.sym(f"a{i}", body.size1_in(i))
-
-    at = [symbols(i) for i in range(body.n_in())]
+    at = [ca.SX.sym(rates.value.name_in(i), rates.value.size1_in(i)) for i in range(rates.value.n_in())]
     V = ca.SX.sym("V", rates.n)
-    value, slope, by_theta = body(*at)
+    value, slope, by_theta = rates.value(*at)
     results = [ca.sparsify(slope), value - V, by_theta, rates.solved(*at)[0]]
     return ca.Function("collocated_at", [*at, V], results)
 

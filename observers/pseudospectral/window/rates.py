@@ -95,13 +95,14 @@ def _by_rates(problem: LeastSquares, at: Along, RG: Any) -> tuple[list[Any], Any
     b: list[Any] = [
         ca.densify(ca.horzcat(gap[:, i], between, *[part[:, i] for part in by_theta], after)) for i in range(nv)
     ]
-    A: list[list[Any]] = [[ca.MX(ca.DM.eye(N)) if i == k else None for k in range(nv)] for i in range(nv)]
+    zero, one_tile = ca.DM.zeros(N, N), ca.densify(ca.DM.eye(N))
+    A: list[list[Any]] = [[one_tile if i == k else None for k in range(nv)] for i in range(nv)]
     for (i, q), place in entries.items():
         slope = slopes[:, place]
         b[i] = groups.scaled_add(N, n, 1.0)(b[i], slope, moved[q])
         for k in np.flatnonzero(follows[q]):
-            before = A[i][k] if A[i][k] is not None else ca.MX(ca.DM.zeros(N, N))
-            A[i][k] = groups.scaled_add(N, N, -1.0)(ca.densify(before), slope, ca.DM(PsQ[q::nq, k::nv]))
+            before = A[i][k] if A[i][k] is not None else zero
+            A[i][k] = groups.scaled_add(N, N, -1.0)(before, slope, ca.DM(PsQ[q::nq, k::nv]))
     order = _order(np.array([[tile is not None for tile in row] for row in A]))
     solved = tiles.solve_tiles([[A[i][k] for k in order] for i in order], [b[i] for i in order])
     by_rate = ca.vertcat(*[solved[order.index(i)] for i in range(nv)])

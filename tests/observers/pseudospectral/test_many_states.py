@@ -15,6 +15,7 @@ N_MASSES, TS, L, STEPS = 5, 0.3, 16, 12
 NEIGHBOURS = np.eye(N_MASSES, k=1) + np.eye(N_MASSES, k=-1)
 ALL = np.ones((N_MASSES, N_MASSES)) - np.eye(N_MASSES)
 PAIRS = block_diag(*[np.ones((2, 2))] * 2, 1.0) - np.eye(N_MASSES)  # the last one hangs alone
+SEEN = [*range(1, N_MASSES), 0]  # which position each output is
 NAMES = [f"{letter}{i}" for letter in "qv" for i in range(N_MASSES)]
 
 
@@ -61,21 +62,26 @@ def motion(coupling, s, push):
     return np.array(found)
 
 
+def followed(made, y, push):
+    """The run of an observer along a whole window of samples."""
+    run = Instance(made)
+    for k in range(L + 1):
+        for i, value in zip(SEEN, y[k], strict=True):
+            run.set(f"y{i}", value)
+        run.set("push", push[min(k, L - 1)])
+        run.step(k * TS, TS)
+    return run
+
+
 @pytest.mark.parametrize("coupling", [NEIGHBOURS, PAIRS, ALL], ids=["neighbours", "pairs", "all"])
 def test_a_full_window_is_that_of_the_batch_least_squares(coupling):
     """Whether each mass sees few of the others, or all."""
     rng = np.random.default_rng(3)
     push = rng.uniform(-1, 1, L)
     true = np.append(rng.uniform(-1, 1, 2 * N_MASSES), 0.4)
-    seen = [*range(1, N_MASSES), 0]
-    y = motion(coupling, true, push)[:, seen] + 1e-2 * rng.normal(size=(L + 1, N_MASSES))
-    run = Instance(pseudospectral(masses(coupling), sample_time=TS, N=7, L=L, segments=L))
-    for k in range(L + 1):
-        for i, value in zip(seen, y[k], strict=True):
-            run.set(f"y{i}", value)
-        run.set("push", push[min(k, L - 1)])
-        run.step(k * TS, TS)
-    batch = least_squares(lambda s: (motion(coupling, s, push)[:, seen] - y).ravel(), true, xtol=1e-12, ftol=1e-12).x
+    y = motion(coupling, true, push)[:, SEEN] + 1e-2 * rng.normal(size=(L + 1, N_MASSES))
+    run = followed(pseudospectral(masses(coupling), sample_time=TS, N=7, L=L, segments=L), y, push)
+    batch = least_squares(lambda s: (motion(coupling, s, push)[:, SEEN] - y).ravel(), true, xtol=1e-12, ftol=1e-12).x
     found = [run.get(f"filtered.{name}") for name in NAMES]
     np.testing.assert_allclose(found, motion(coupling, batch, push)[-1], rtol=0, atol=5e-6)
     assert run.get("filtered.hard") == pytest.approx(batch[-1], abs=5e-6)
@@ -88,8 +94,7 @@ def test_process_noise_of_a_rate_is_what_the_batch_least_squares_finds(coupling)
     rng, sigma, intensity = np.random.default_rng(4), 1e-2, 0.1
     push, noise = rng.uniform(-1, 1, L), intensity / np.sqrt(TS) * rng.normal(size=L)
     true = np.append(rng.uniform(-1, 1, 2 * N_MASSES), 0.4)
-    seen = [*range(1, N_MASSES), 0]
-    y = motion(coupling, true, push + noise)[:, seen] + sigma * rng.normal(size=(L + 1, N_MASSES))
+    y = motion(coupling, true, push + noise)[:, SEEN] + sigma * rng.normal(size=(L + 1, N_MASSES))
     given = {f"y{i}": sigma for i in range(N_MASSES)}
     made = pseudospectral(
         masses(coupling),
@@ -100,15 +105,10 @@ def test_process_noise_of_a_rate_is_what_the_batch_least_squares_finds(coupling)
         measurement_noise=given,
         process_noise={"v0": intensity},
     )
-    run = Instance(made)
-    for k in range(L + 1):
-        for i, value in zip(seen, y[k], strict=True):
-            run.set(f"y{i}", value)
-        run.set("push", push[min(k, L - 1)])
-        run.step(k * TS, TS)
+    run = followed(made, y, push)
 
     def residual(s):
-        gap = motion(coupling, s[: len(true)], push + s[len(true) :])[:, seen] - y
+        gap = motion(coupling, s[: len(true)], push + s[len(true) :])[:, SEEN] - y
         return np.append(gap.ravel() / sigma, s[len(true) :] * np.sqrt(TS) / intensity)
 
     batch = least_squares(residual, np.append(true, np.zeros(L)), xtol=1e-12, ftol=1e-12).x
